@@ -9,6 +9,7 @@ from rfpsurvey.instrument._instrument import (
     available_instruments,
     every_instrument,
 )
+from rfpsurvey.instrument._missing import impossible_sentence
 from rfpsurvey.instrument._pfs_map import pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.instrument._states import describe_states
 
@@ -24,6 +25,7 @@ __all__ = [
     "describe_states",
     "every_instrument",
     "fact_texts",
+    "impossible_sentence",
     "pfs_engineering_fibers",
     "pfs_fibers",
 ]

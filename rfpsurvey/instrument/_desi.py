@@ -20,6 +20,7 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
 from rfpsurvey.instrument._desi_tables import number_rows, numbers, some, whole
+from rfpsurvey.instrument._missing import impossible_entry
 from rfpsurvey.positioner import ArmOutline
 
 N_POSITIONERS = 5000
@@ -92,10 +93,12 @@ def _from_model(preset, table, path, state, exclusions, moment):
     r1, r2 = (numbers(table, name, u.mm, path, LONGEST, low=SHORTEST) for name in ("LENGTH_R1", "LENGTH_R2"))
     angles = {name: numbers(table, name, u.deg, path, MOST_ANGLE, codes=name[:3] == "OFF") for name in ANGLES}
     notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{others}"], {}, None
+    impossible = {}
     if state is None:
         notes.append("No state was given; therefore, all positioners count as working.")
     else:
-        columns, limits, polygons, text = find_conditions(state, ids, moment)
+        columns, limits, polygons, text, n = find_conditions(state, ids, moment)
+        impossible = impossible_entry(n, state.name)
         angles |= {name: np.where(np.isfinite(value), value, angles[name]) for name, value in limits.items()}
         notes.append(text)
     for axis in "TP":
@@ -131,7 +134,7 @@ def _from_model(preset, table, path, state, exclusions, moment):
         phi_range=-np.column_stack([angles["MAX_P"], angles["MIN_P"]]) * u.deg,
         **columns,
     )
-    entries |= {
+    entries |= impossible | {
         "layout.centers": _entry(len(ids), path, "OFFSET_X and OFFSET_Y of rows of the type POS"),
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL"),
         "positioner.central_arm": _entry(float(np.median(r1)), path, "median of LENGTH_R1", "mm"),

@@ -61,8 +61,9 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
 
 
 def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
-    """Return columns of the focal plane, joint limits (NaN: unknown), names of polygons and a note for a given time.
+    """Return columns of the focal plane, joint limits (NaN: unknown), names of polygons, and a note for a given time.
 
+    The last value is the number of positioners with impossible values.
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
     table = read_table(path)
@@ -90,10 +91,13 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         warn(f"{path}: {some(ids, odd)} have unknown bits in their STATE and are disabled")
     fixed = (state & (STUCK | BROKEN)) != 0
     values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
+    doubtful = odd | ~known
     for name, column in values.items():
         most = MOST_ANGLE if name in LIMITS else np.inf
         column[known] = numbers(own, name, u.deg, path, most)
-        column[is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)] = np.nan
+        wrong = is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)
+        doubtful |= wrong & ~np.isnan(column) & (fixed | (name in LIMITS))
+        column[wrong] = np.nan
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)
@@ -117,7 +121,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         text += f" The events of {number_of(others, 'other device')} are not used."
     columns = {"disabled": (state & BROKEN).astype(bool) | odd | lost, "stuck": pose * u.deg}
     limits = {name: column for name, column in values.items() if name in LIMITS}
-    return columns, limits, polygons.astype(str), text
+    return columns, limits, polygons.astype(str), text, np.count_nonzero(doubtful)
 
 
 def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[float, ArmOutline | None, str]:

@@ -13,6 +13,7 @@ import numpy as np
 from rfpsurvey._readers import entries_of, head_of, is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument._missing import impossible_entry
 from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
 from rfpsurvey.instrument._pfs_map import N, nominal_centers, pfs_fibers
 
@@ -80,6 +81,7 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
     else:
         names = ", ".join(path.name for path in to_paths(cobras))
         columns, defects = _arm_columns(arms, positioner)
+        values |= impossible_entry(int(arms["unknown"].sum()), names)
         values.pop("positioner.theta_range", None)
         for name in ("centers", "arms", "zero_points", "joint_limits"):
             values[f"layout.{name}"] = _entry("values for each cobra", "published", names)

@@ -19,7 +19,7 @@ from rfpsurvey._readers import is_present, read_table
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._missing import is_missing
+from rfpsurvey.instrument._missing import impossible_entry, is_missing
 
 PRESETS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 TABLE = "positionerTable.csv"
@@ -35,7 +35,7 @@ MOST_SHIFT = {"x": 100.0, "y": 100.0, "xTilt": 10.0, "yTilt": 10.0}
 FARTHEST = 5.0  # distance of a hole from its nominal position
 ARMS_DIFFER = 0.2  # relative difference of an arm from the nominal arm
 MAPS_DIFFER = 0.1  # relative difference of the radius of a field from the nominal radius
-MOST_FIBERS = 500
+MOST_FIBER = 998  # numbers of fibers are below the code 999 for missing values
 
 
 def recognizes(path: Path) -> bool:
@@ -57,8 +57,9 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
     ids = robots.text("holeID")
     robots.check_unique("holeID")
     xy, axis = _bases(folder, site, robots, nominal.focal_plane, notes)
-    types = _fiber_types(folder, site, robots, notes)
+    types, doubtful = _fiber_types(folder, site, robots, notes)
     plane = _plane(nominal.focal_plane, robots, ids, xy, axis, types, notes)
+    doubtful |= {*robots.impossible.values()}
     plane = replace(plane, obstacles=_obstacles(folder, site, nominal.focal_plane.obstacles, ids, notes))
     if len(disabled):
         plane = replace(plane, disabled=plane.disabled | _named(disabled, ids))
@@ -72,7 +73,7 @@ def read(preset, folder, *, site: str | None = None, disabled=()):
         plate_scale=None,
         distortion=maps,
         layout="as built",
-        values={**kept, **_entries(plane, nominal, maps, folder)},
+        values={**kept, **_entries(plane, nominal, maps, folder), **impossible_entry(len(doubtful), folder.name)},
         notes="\n".join(notes),
     )
 
@@ -84,8 +85,8 @@ class _Rows:
         self.path, self.table = path, read_table(path)
         self.number = np.arange(1, len(self.table) + 1)
         """Number of each row in the file, counted from 1."""
-        self.impossible: list[str] = []
-        """Values that are not missing in the file, but count as missing."""
+        self.impossible: dict[str, str] = {}
+        """Values that are not missing in the file, but count as missing, and the hole of each value."""
         check_columns(self.table.colnames, names, f"{path}: the table")
         if len(self.table) == 0:
             raise InputError(f"{path}: the table must have at least one row, got none")
@@ -129,12 +130,13 @@ class _Rows:
 
     def doubt(self, wrong: np.ndarray, name: str) -> None:
         """Record the values of a column that are impossible."""
-        got = np.asarray(self.text(name))
-        self.impossible += [f"{name} = {got[k]} in row {self.number[k]}" for k in np.flatnonzero(wrong)]
+        for k in np.flatnonzero(wrong):
+            text = f"{name} = {self.text(name)[k]} in row {self.number[k]}"
+            self.impossible[text] = str(self.table["holeID"][k])
 
     def note(self) -> list[str]:
         """Return a note on the impossible values of this table, if there are any."""
-        values = ", ".join(dict.fromkeys(self.impossible))
+        values = ", ".join(self.impossible)
         return [f"These values in {self.path.name} are impossible and count as missing: {values}."] if values else []
 
     def keep_site(self, site: str | None) -> str:
@@ -223,15 +225,15 @@ def _bases(folder, site, robots, nominal, notes):
     return xy, np.arctan2(i_y, i_x)
 
 
-def _fiber_types(folder, site, robots, notes) -> np.ndarray:
-    """Return whether each robot has the fibers BOSS and APOGEE, shape (n, 2)."""
+def _fiber_types(folder, site, robots, notes) -> tuple[np.ndarray, set[str]]:
+    """Return whether each robot has the fibers BOSS and APOGEE, shape (n, 2), and holes with impossible numbers."""
     holes = robots.text("holeID")
     path = folder / "fiberAssignments.csv"
     if not is_present(path):
         wok = _Rows(folder / "wokCoords.csv", ("holeID", "holeType"))
         kind = np.char.lower(wok.text("holeType")[wok.rows_of(holes)])
         notes.append("There is no fiberAssignments.csv; holeType in wokCoords.csv states the fibers of each robot.")
-        return np.column_stack([np.char.find(kind, word) >= 0 for word in ("boss", "apogee")])
+        return np.column_stack([np.char.find(kind, word) >= 0 for word in ("boss", "apogee")]), set()
     rows = _Rows(path, ("site", "holeID", "Device", "BOSSFiber", "APOGEEFiber"))
     rows.keep_site(site)
     is_robot = np.char.lower(rows.text("Device")) == "positioner"
@@ -246,10 +248,15 @@ def _fiber_types(folder, site, robots, notes) -> np.ndarray:
         text = f"fiberAssignments.csv has {number_of(extra, 'positioner')} without a row in {TABLE}"
         notes.append(f"{text}; these positioners are not used.")
         warn(f"{folder}: {text}; {TABLE} may be truncated")
-    numbers = [rows.numbers(name, MOST_FIBERS, low=1, codes=False) for name in ("BOSSFiber", "APOGEEFiber")]
-    fibers = np.isfinite(numbers).T
+    fibers = np.zeros((len(rows), 2), dtype=bool)
+    for k, name in enumerate(("BOSSFiber", "APOGEEFiber")):
+        numbers = rows.numbers(name, MOST_FIBER, low=1, codes=False)
+        _, group, times = np.unique(numbers, return_inverse=True, return_counts=True)
+        # a number that several robots have does not identify a fiber
+        rows.doubt(repeated := np.isfinite(numbers) & (times[group] > 1), name)
+        fibers[:, k] = np.isfinite(numbers) & ~repeated
     notes += rows.note()
-    return fibers[index] & (index >= 0)[:, None]
+    return fibers[index] & (index >= 0)[:, None], {*rows.impossible.values()}
 
 
 def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:

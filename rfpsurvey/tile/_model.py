@@ -3,7 +3,7 @@
 import numpy as np
 
 from rfpsurvey.collision import Arms, Configuration, near_pairs
-from rfpsurvey.instrument import Instrument
+from rfpsurvey.instrument import Instrument, impossible_sentence
 from rfpsurvey.observing import MODELS
 
 TYPES = {
@@ -66,4 +66,4 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         positions = f"a tangent plane with the instrument's radial map{each}"
     refraction = "without refraction" if projection in ("tangent", "radial") else f"with {MODELS[projection]}"
     margins = f" Margins: {plane.margins.description}." if plane.margins else ""
-    return f"{collisions}. Positions: {positions}, {refraction}.{margins}"
+    return f"{collisions}. Positions: {positions}, {refraction}.{margins}{impossible_sentence(instrument)}"

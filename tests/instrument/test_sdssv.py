@@ -8,6 +8,7 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from numpy.testing import assert_allclose, assert_array_equal
 
@@ -153,6 +154,42 @@ def test_impossible_numbers_of_fibers_are_no_fibers(tmp_path, value):
     inst = rs.Instrument.read(folder)
     assert inst.focal_plane.fiber_type[row_of(inst.focal_plane, "R0C13")] == "APOGEE"
     assert value == "nan" or f"impossible and count as missing: BOSSFiber = {value}" in inst.notes
+
+
+def test_numbers_of_fibers_may_have_gaps(tmp_path):
+    """At Las Campanas, 500 robots have fibers from 1 to 527; numbers above 500 counted as missing."""
+
+    def numbered(rows):
+        return [{**row, "BOSSFiber": row["BOSSFiber"] and 501 + 3 * k} for k, row in enumerate(rows)]
+
+    planes = [
+        rs.Instrument.read(sdssv_files.calibration(tmp_path / name, **changes)).focal_plane
+        for name, changes in (("old", {}), ("new", {"fiberAssignments": numbered}))
+    ]
+    assert_array_equal(planes[0].fiber_type, planes[1].fiber_type)
+    assert not planes[1].disabled.any()
+
+
+def test_impossible_values_are_counted_where_a_plan_is_printed(tmp_path, run):
+    """Robots were disabled because of impossible values, and only the notes of the instrument stated this."""
+
+    def repeated(rows):  # a code for missing values, and a robot without a second fiber
+        return [
+            {**row, "BOSSFiber": 600 if row["holeID"] in ("R-1C13", "R0C13") else row["BOSSFiber"]} for row in rows
+        ]
+
+    folder = sdssv_files.calibration(tmp_path / "codes", fiberAssignments=repeated)
+    inst = rs.Instrument.read(folder)
+    assert inst.values["layout.impossible_values"]["value"] == 2
+    assert inst.focal_plane.id[inst.focal_plane.disabled].tolist() == ["R-1C13"]
+    sentence = "impossible values, which count as missing, for 2 positioners (see its notes); 1 of all positioners"
+    targets = rs.synthetic_catalog("uniform", "10h +2d", 0.05 * u.deg, n_targets=9, rng=1)
+    tile = rs.plan_tile(targets, inst, "10h +2d", allocator="nearest")
+    survey = rs.plan_survey(targets, inst, SkyCoord(["10h +2d"]), allocator="nearest")
+    assert all(sentence in summary["model"] for summary in (tile.summary, survey.summary))
+    targets.write(tmp_path / "targets.ecsv")
+    code, out, err = run("plan", tmp_path / "targets.ecsv", "--instrument", folder, "--center", "10h +2d")
+    assert (code, sentence in " ".join(out.split())) == (0, True), err
 
 
 @pytest.mark.parametrize("column", ["R", "c0", "c1", "c4"])
