@@ -4,7 +4,7 @@ import json
 import re
 from pathlib import Path
 
-from rfpsurvey._readers._limits import check_is_file, content_of, sentence
+from rfpsurvey._readers._limits import check_is_file, content_of, sentence, warn_of_open_end
 from rfpsurvey.errors import InputError, short
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
@@ -22,6 +22,8 @@ def read_toml(path: Path) -> dict:
 
     check_is_file(path)
     content = content_of(path, most=MOST_TOML, kind="TOML")
+    if content[-1:].isdigit():  # a document that ends within another value is not valid
+        warn_of_open_end(path, content)
     try:
         text = content.decode("utf-8")
         long = LONG_KEY.search(text)

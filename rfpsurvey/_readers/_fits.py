@@ -24,13 +24,14 @@ NAME = re.compile(r" *'((?:[^']|'')*)'")
 FORMAT = re.compile(r"(\d*)([LXBIJKAEDCMPQ])(.*)")
 
 
-def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "") -> Table:
+def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "", *, padded: bool = True) -> Table:
     """Return the table with the number or name ``hdu`` in a FITS file; by default, return the first table.
 
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
-    by rfpsurvey. The warning ends with ``remedy``, which describes how to read another table.
+    by rfpsurvey. The warning ends with ``remedy``, which describes how to read another table. If the size of the file
+    is not a multiple of 2880 bytes, an error is raised if ``padded`` is true; otherwise, a warning is issued.
     """
-    with open_content(path) as file, _open_units(file, path) as (units, found):
+    with open_content(path) as file, _open_units(file, path, padded=padded) as (units, found):
         table = _table_of(units[next(iter(found)) if hdu is None else _choose(found, hdu, path)], path)
     if hdu is None and len(found) > 1 and META_KEY not in table.meta:
         text = f"{path}: the file has {len(found)} tables, and only the first one was read: {_listed(found)}"
@@ -39,11 +40,17 @@ def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "") -> Tab
 
 
 @contextmanager
-def _open_units(file: BinaryIO, path: object) -> Iterator[tuple]:
+def _open_units(file: BinaryIO, path: object, *, padded: bool = True) -> Iterator[tuple]:
     """Provide the header-data units of a file, and the numbers and names of those that are tables."""
     from astropy.io import fits
 
     found = _find_tables(file, path)
+    if (size := file.seek(0, io.SEEK_END)) % BLOCK:
+        # bytes that are inserted into the data or lost move all later rows (FITS standard 4.0, section 3.1)
+        text = f"{path}: the size of a FITS file must be a multiple of {BLOCK} bytes, got {size}"
+        if padded:
+            raise InputError(f"{text}: the file is damaged; copy it again")
+        warn(f"{text}; only padding seems to be missing, and the table was read")
     file.seek(0)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
@@ -264,7 +271,8 @@ def _check_table(file, cards, what, begin, end, path):
     if width == 0 and _whole(cards, "NAXIS2", path):
         raise InputError(f"{path}: the rows of a table must have at least one byte, got NAXIS1 = 0")
     file.seek(begin)
-    if end - begin >= width and file.read(end - begin).strip(b"\0 "):
+    if file.read(end - begin).strip(b"\0 "):
         raise InputError(
-            f"{path}: the {end - begin} bytes after the last row must be zero, got other values: NAXIS2 may be wrong"
+            f"{path}: the {end - begin} bytes after the last row must be zero, got other values: NAXIS2 may be wrong, "
+            "or bytes were inserted"
         )

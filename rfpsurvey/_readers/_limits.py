@@ -10,7 +10,7 @@ from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 
 OPENERS = {b"\x1f\x8b": gzip.open, b"BZh": bz2.open, b"\xfd7zXZ\x00": lzma.open}
 # Largest ratio of decompressed to compressed size. For tables of real targets, the ratio is less than 10.
@@ -140,6 +140,12 @@ def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
         reason = getattr(error, "strerror", None) or sentence(error)
         raise InputError(f"{path} cannot be read{kind and f' as {kind}'}: {reason}") from error
+
+
+def warn_of_open_end(path: Path, content: bytes) -> None:
+    """Issue a warning if the last line of a text has no end, so that its last value may be incomplete."""
+    if content and not content.endswith((b"\n", b"\r")):
+        warn(f"{path}: the last line must end with a line break, got none; its last value may be cut off")
 
 
 def _too_large(path, limit, opener) -> str:

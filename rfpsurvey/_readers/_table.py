@@ -41,7 +41,6 @@ def _read_votable(path: Path) -> Table:
 
 
 READERS = {
-    "fits": read_fits,
     "ascii.ecsv": _read_text,
     "ascii.csv": _read_text,
     "votable": _read_votable,
@@ -67,11 +66,14 @@ def suffix_of(path: Path) -> str:
     return suffixes[-1] if suffixes else ""
 
 
-def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: str = "") -> QTable:
+def read_table(
+    path: str | os.PathLike, hdu: int | str | None = None, remedy: str = "", *, padded: bool = True
+) -> QTable:
     """Read a table in one of `FORMATS`.
 
     ``hdu`` is the number or the name of one of several tables in a FITS file. Without ``hdu``, a warning about several
-    tables ends with ``remedy``, which describes how to read another table.
+    tables ends with ``remedy``, which describes how to read another table. If ``padded`` is False, a FITS file without
+    its final padding is read with a warning.
     """
     path = to_path(path)
     suffix = suffix_of(path)
@@ -84,7 +86,7 @@ def read_table(path: str | os.PathLike, hdu: int | str | None = None, remedy: st
     if hdu is not None and not is_fits:
         raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
     with reading(path, FORMATS[suffix]):
-        table = READERS[FORMATS[suffix]](path, *((hdu, remedy) if is_fits else ()))
+        table = read_fits(path, hdu, remedy, padded=padded) if is_fits else READERS[FORMATS[suffix]](path)
         table = _checked(table, path)
     if META_KEY in table.meta:
         table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")

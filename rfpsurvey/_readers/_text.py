@@ -9,7 +9,7 @@ from astropy.table import Table
 from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
 
 from rfpsurvey._readers._header import find_names
-from rfpsurvey._readers._limits import content_of
+from rfpsurvey._readers._limits import content_of, warn_of_open_end
 from rfpsurvey._readers._lines import count_lines, line_number
 from rfpsurvey.errors import InputError, warn
 
@@ -57,6 +57,7 @@ def read_csv(path: Path) -> Table:
 def read_ecsv(path: Path) -> Table:
     """Return the table of an ECSV file."""
     content = _checked_content(path)
+    warn_of_open_end(path, content)
     begin = _end_of_header(content)
     header = content[:begin]
     if begin > MOST_HEADER:

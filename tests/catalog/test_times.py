@@ -103,7 +103,7 @@ FILES = [
 @pytest.mark.parametrize(("text", "words"), FILES)
 def test_a_bad_file_of_conditions_gives_one_sentence(tmp_path, run, text, words):
     path = tmp_path / "seen.toml"
-    path.write_text(text)
+    path.write_text(f"{text}\n")
     with pytest.raises(rs.InputError) as caught:
         rs.ObservingConditions.read(path)
     assert str(caught.value).startswith(f"{path}")
@@ -116,7 +116,7 @@ def test_a_bad_file_of_conditions_gives_one_sentence(tmp_path, run, text, words)
 @pytest.mark.parametrize("value", [MOMENT, f"'{MOMENT}'", MOMENT.replace("T", " "), "2026-07-01T08:30:00+02:00"])
 def test_a_file_of_conditions_holds_a_date_of_toml_or_text(tmp_path, value):
     path = tmp_path / "seen.toml"
-    path.write_text(f"site = 'xinglong'\ntime = {value}")
+    path.write_text(f"site = 'xinglong'\ntime = {value}\n")
     assert rs.ObservingConditions.read(path).time.isot == f"{MOMENT}.000"
 
 

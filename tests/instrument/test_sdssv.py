@@ -174,9 +174,7 @@ def test_impossible_values_are_counted_where_a_plan_is_printed(tmp_path, run):
     """Robots were disabled because of impossible values, and only the notes of the instrument stated this."""
 
     def repeated(rows):  # a code for missing values, and a robot without a second fiber
-        return [
-            {**row, "BOSSFiber": 600 if row["holeID"] in ("R-1C13", "R0C13") else row["BOSSFiber"]} for row in rows
-        ]
+        return [{**row, "BOSSFiber": 600 if row["holeID"] in ("R-1C13", "R0C13") else row["BOSSFiber"]} for row in rows]
 
     folder = sdssv_files.calibration(tmp_path / "codes", fiberAssignments=repeated)
     inst = rs.Instrument.read(folder)

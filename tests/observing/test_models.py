@@ -300,10 +300,10 @@ def test_conditions_are_read_from_a_file(tmp_path):
     assert read.record["latitude_deg"] == pytest.approx(20)
     assert rs.ObservingConditions.read(path, hour_angle=1 * u.deg).time is None
     for text, message in (
-        ("sight = 5", "unknown key of .* 'sight'.* Did you mean 'site'"),
+        ("sight = 5\n", "unknown key of .* 'sight'.* Did you mean 'site'"),
         ('site = "paranal"\npressure = "high"', "pressure must be text such as"),
         ('site = "paranal"\nhour_angle = "1 m"', "night.toml: hour_angle must have a unit"),
-        ("site = [1, 2]", "site must be longitude, latitude"),
+        ("site = [1, 2]\n", "site must be longitude, latitude"),
     ):
         path.write_text(text)
         with pytest.raises(rs.InputError, match=message):

@@ -1,13 +1,20 @@
 """Damaged files of every format are read with all rows, or are refused with a sentence."""
 
+import warnings
+
+import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable
 
+import rfpsurvey as rs
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
 from valid_inputs import inputs
+from valid_plans import plan_samples
 
 N_EACH = 10
+SHORTER = "the last line must end with a line break"
 
 
 @pytest.fixture(scope="module")
@@ -31,3 +38,80 @@ def test_damaged_files_are_refused_or_read_whole(valid, tmp_path, seed):
         path, done = damage(np.random.default_rng([99, seed, number]), sample, folder)
         what, text = outcome(sample, path)
         assert what in FINE, f"{sample.path.name} ({done}): {what}: {text}"
+
+
+def moved(content, place):
+    """Yield copies of a content with bytes inserted at a place, or without bytes from this place."""
+    for inserted, removed in ((b"\r", 0), (b"\0\0", 0), (b"", 2), (b"", 1), (b"7", 0)):
+        yield content[:place] + inserted + content[place + removed :]
+
+
+def test_plans_with_inserted_or_lost_bytes_are_refused(tmp_path):
+    """Rows behind a byte that was inserted into a FITS file had other numbers, and were read without a message."""
+    samples, damaged = [one for one in plan_samples(tmp_path) if one.path.suffix == ".fits"], tmp_path / "damaged.fits"
+    assert {one.format for one in samples} == {"fiberassign", "pfsDesign", "tile plan"}
+    for sample in samples:
+        content = sample.path.read_bytes()
+        start = content.find(b"XTENSION") + 2880
+        for place in np.random.default_rng(len(content)).integers(start, len(content) - 2880, 4).tolist():
+            for part in moved(content, place):
+                damaged.write_bytes(part)
+                with pytest.raises(rs.InputError):
+                    rs.plans.read_plan(damaged)
+                if sample.format == "tile plan":
+                    with pytest.raises(rs.InputError):
+                        rs.Tile.read(damaged)
+
+
+def test_catalogs_in_fits_with_inserted_bytes_are_refused_or_named(tmp_path):
+    """Non-zero bytes after the rows of a table were accepted if they were fewer than a row."""
+    path, damaged = tmp_path / "catalog.fits", tmp_path / "damaged.fits"
+    n = 100
+    table = QTable({"ra": np.linspace(1, 2, n) * u.deg, "dec": np.ones(n) * u.deg, "priority": np.arange(n) + 0.3})
+    table.write(path)
+    content = path.read_bytes()
+    assert len(content) % 2880 == 0
+    for part in moved(content, 2 * 2880 + 100):
+        damaged.write_bytes(part)
+        with pytest.raises(rs.InputError, match=r"must be zero|must be a multiple|cut off|begin with XTENSION"):
+            rs.Tiling.read(damaged)
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                rs.Catalog.read(damaged)
+            except rs.InputError:
+                continue
+        assert any("multiple of 2880" in str(one.message) for one in caught)
+    damaged.write_bytes(content[: 2880 * 2 + 24 * n])  # only the padding is missing
+    with pytest.warns(rs.RfpsurveyWarning, match=r"multiple of 2880 bytes, got 8160; only padding"):
+        assert rs.Catalog.read(damaged).priority.tolist() == table["priority"].tolist()
+    with pytest.raises(rs.InputError, match=r"multiple of 2880 bytes, got 8160: the file is damaged"):
+        rs.Tiling.read(damaged)
+
+
+@pytest.mark.parametrize("name", ["catalog.ecsv", "tiles.ecsv", "own.toml"])
+def test_text_that_ends_within_a_value_is_refused_or_named(tmp_path, name):
+    """A priority of 1061.25 was read as 106 if the file ended there, without a message."""
+    n = 20
+    places = {"ra": np.linspace(94, 96, n) * u.deg, "dec": np.linspace(22, 24, n) * u.deg}
+    path, cut = tmp_path / name, tmp_path / f"cut_{name}"
+    if name == "catalog.ecsv":
+        QTable(places | {"priority": 1000 + 1.25 * np.arange(n)}).write(path)
+        read = lambda path: rs.Catalog.read(path).priority  # noqa: E731
+    elif name == "tiles.ecsv":
+        rs.Tiling.from_table(QTable(places | {"pass": 10 + np.arange(n)})).write(path)
+        read = lambda path: rs.Tiling.read(path).table["pass"]  # noqa: E731
+    else:
+        path.write_text('site = "paranal"\nhour_angle = "1 h"\nhumidity = 0.425\n')
+        read = lambda path: np.array([rs.ObservingConditions.read(path).humidity])  # noqa: E731
+    content, whole = path.read_bytes(), np.asarray(read(path))
+    for removed in range(1, 60 if name.endswith("ecsv") else 6):
+        cut.write_bytes(content[:-removed])
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            try:
+                values = np.asarray(read(cut))
+            except rs.InputError:
+                continue
+        same = np.array_equal(values, whole[: len(values)])
+        assert same or any(SHORTER in str(one.message) for one in caught), removed

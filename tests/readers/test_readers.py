@@ -222,7 +222,7 @@ def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
 def test_deeply_nested_documents_are_refused(tmp_path):
     path = tmp_path / "a.toml"
     for text in ("a = " + "[" * 100_000, "a = " + "{a=" * 50_000, ".".join(["a"] * 50_000) + " = 1"):
-        path.write_text(text)
+        path.write_text(f"{text}\n")
         assert "at most 32" in refusal(path, rs.Instrument.read)
 
 
