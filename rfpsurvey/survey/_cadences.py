@@ -12,12 +12,14 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey.catalog import Catalog, as_table
-from rfpsurvey.errors import InputError, check_keywords, listed, number_of
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short
 from rfpsurvey.tiling import Tiling
 
 NIGHT = 0.5
 """Largest time between the exposures of an epoch in days."""
 COLUMNS = ("delta_min", "delta_max", "n_exp", "skybrightness")
+# Other names of columns, in the files of SDSS-V; upper case and lower case are not distinguished.
+SYNONYMS = {"nexp": "n_exp", "nepochs": "n_epochs"}
 MOST_VISITS = 255
 NEVER = 1e9
 """Closing time (MJD) of windows that do not close."""
@@ -41,9 +43,11 @@ class Cadences:
     table : Table, QTable or path-like
         Table with a row for each cadence, or its file. Columns: ``cadence`` (the name), and one value per epoch of
         ``delta_min`` and ``delta_max`` (days since the previous epoch; negative numbers stand for no limit),
-        ``n_exp`` (exposures), and ``skybrightness`` (largest allowed brightness; optional). Several values are
-        separated by blanks; if all cadences have equally many epochs, columns can also contain arrays. A cadence
-        without epochs, such as those of SDSS-V for calibration, has no visits.
+        ``n_exp`` (exposures; also ``nexp``), and ``skybrightness`` (largest allowed brightness; optional). Several
+        values are separated by blanks, or columns contain arrays. The optional column ``n_epochs`` (also ``nepochs``)
+        states the number of epochs of each cadence; further elements of the arrays are not used. Names of columns
+        can be in upper case, as in the files of SDSS-V. A cadence without epochs, such as those of SDSS-V for
+        calibration, has no visits. A cadence of more than 255 exposures is refused only if a target has it.
     column : str, optional
         Further column of the catalog with the name of the cadence of each target; targets with empty text are observed
         once, at any time.
@@ -69,9 +73,11 @@ class Cadences:
     def __post_init__(self):
         given = self.table
         table = _io.read_table(given) if isinstance(given, str | os.PathLike) else as_table(given)[0]
-        if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in table.colnames]:
+        lower = {SYNONYMS.get(name.lower(), name.lower()): name for name in reversed(table.colnames)}
+        if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in lower]:
             raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")
-        names = [str(name).strip() for name in table["cadence"].tolist()]
+        object.__setattr__(self, "_columns", lower)
+        names = [str(name).strip() for name in table[lower["cadence"]].tolist()]
         if len(set(names)) < len(names):
             name = next(name for name in names if names.count(name) > 1)
             raise InputError(f"the name of a cadence must be unique, got {names.count(name)} rows for {name!r}")
@@ -82,21 +88,24 @@ class Cadences:
     @cached_property
     def _epochs(self) -> list[np.ndarray]:
         """The values of ``COLUMNS`` for each epoch, one array per cadence."""
-        found, factors = [], {}
-        for one in {*COLUMNS} & {*self.table.colnames}:
-            unit, wanted = getattr(self.table[one], "unit", None), u.day if one.startswith("delta") else u.one
+        found, columns = [], {}
+        for one in (one for one in (*COLUMNS, "n_epochs") if one in self._columns):
+            column = self.table[self._columns[one]]
+            unit, wanted = getattr(column, "unit", None), u.day if one.startswith("delta") else u.one
             if unit is not None and not unit.is_equivalent(wanted):
                 raise InputError(f"{one} of cadences must have {_UNITS[wanted]}, got {unit}")
-            factors[one] = 1.0 if unit is None else unit.to(wanted)
-        for row, name in zip(self.table, self.names, strict=True):
+            columns[one] = getattr(column, "value", column), 1.0 if unit is None else unit.to(wanted)
+        n_epochs, _ = columns.pop("n_epochs", ([None] * len(self.names), 1.0))
+        for k, (name, given) in enumerate(zip(self.names, n_epochs, strict=True)):
+            n = None if given is None else _whole(given, f"n_epochs of cadence {name!r}")
+            # files of SDSS-V fill the arrays of shorter cadences with zeros
             values = [
-                factors[one] * _numbers(getattr(row[one], "value", row[one]), f"{one} of cadence {name!r}")
-                for one in COLUMNS
-                if one in row.colnames
+                factor * _numbers(column[k], f"{one} of cadence {name!r}", n)
+                for one, (column, factor) in columns.items()
             ]
             if len(values) < len(COLUMNS):
                 values.append(np.full(len(values[0]), np.inf))
-            if len({len(one) for one in values}) > 1:
+            if len({len(one) for one in values} | {len(values[0]) if n is None else n}) > 1:
                 raise InputError(f"the columns of cadence {name!r} must have one value per epoch, got other numbers")
             low, high, n, _ = values = np.array(values)
             closed = (high >= 0) & (high < low)
@@ -107,11 +116,8 @@ class Cadences:
                     f"delta_max of cadence {name!r} must be at least delta_min, got {high[k]:g} and {low[k]:g} in "
                     f"epoch {k + 1}: the window never opens"
                 )
-            if ((n < 1) | (n % 1 > 0)).any() or n.sum() > MOST_VISITS:
-                raise InputError(
-                    f"n_exp of cadence {name!r} must be whole numbers from 1, at most {MOST_VISITS} in all, got "
-                    f"{listed(n)}"
-                )
+            if (bad := (n < 1) | (n % 1 > 0)).any():
+                raise InputError(f"n_exp of cadence {name!r} must be whole numbers from 1, got {n[bad][0]:g}")
             found.append(values)
         return found
 
@@ -122,6 +128,11 @@ class Cadences:
         The last element is for targets without a cadence, which are observed once.
         """
         return [*self._epochs, np.array([[-1.0], [-1.0], [1.0], [np.inf]])]
+
+    @cached_property
+    def _totals(self) -> np.ndarray:
+        """The number of exposures of each cadence; the last element is for targets without a cadence."""
+        return np.array([one[2].sum() for one in self.epochs], dtype=np.int64)
 
     @property
     def record(self) -> str:
@@ -145,7 +156,7 @@ class Cadences:
         Raises
         ------
         InputError
-            If the catalog lacks the column, or if a name is unknown.
+            If the catalog lacks the column, if a name is unknown, or if a cadence has too many exposures.
         """
         extra = catalog.arrays.extra
         if self.column not in extra:
@@ -158,7 +169,11 @@ class Cadences:
         row_of = {name: k for k, name in enumerate(self.names)} | {"": -1}
         if unknown := [name for name in names.tolist() if name not in row_of]:
             raise InputError(f"the cadence of a target must be in the table of cadences, got {unknown[0]!r}")
-        found = np.array([row_of[name] for name in names.tolist()], dtype=np.int64)[place.reshape(-1)]
+        rows = np.array([row_of[name] for name in names.tolist()], dtype=np.int64)
+        for name, n in zip(names.tolist(), self._totals[rows].tolist(), strict=True):
+            if n > MOST_VISITS:
+                raise InputError(f"a cadence of targets must have at most {MOST_VISITS} exposures, got {n} in {name!r}")
+        found = rows[place.reshape(-1)]
         return found if catalog.kind is None else np.where(catalog.kind == "science", found, -1)
 
     def visits(self, catalog: Catalog) -> np.ndarray:
@@ -176,7 +191,7 @@ class Cadences:
         ndarray of uint8, shape (n_targets,)
             The numbers; 1 for targets without a cadence.
         """
-        totals = np.array([*(one[2].sum() for one in self._epochs), 1], dtype=np.uint8)[self.of(catalog)]
+        totals = self._totals[self.of(catalog)].astype(np.uint8)
         return totals if catalog.visits is None else np.where(catalog.visits == 0, np.uint8(0), totals)
 
 
@@ -300,15 +315,26 @@ def _known(column, name: str) -> np.ndarray:
     return values
 
 
-def _numbers(value: object, name: str) -> np.ndarray:
-    """Return the numbers in a value: text with blanks, an array, or one number; none for missing values."""
+def _whole(value: object, name: str) -> int:
+    """Return a number of epochs; raise an error if it is not a whole number from 0."""
+    n = _numbers(value, name)
+    if n.size != 1 or n[0] < 0 or n[0] % 1:
+        raise InputError(f"{name} must be a whole number from 0, got {short(str(value))}")
+    return int(n[0])
+
+
+def _numbers(value: object, name: str, n: int | None = None) -> np.ndarray:
+    """Return the numbers in a value: text with blanks, an array, or one number; none for missing values.
+
+    Only the first n numbers are returned if ``n`` is given.
+    """
     if value is np.ma.masked:
         return np.empty(0)
     try:
         parts = str(value).split() if isinstance(value, str) else np.ma.filled(np.ma.asarray(value, float), np.nan)
-        numbers = np.atleast_1d(np.array(parts, dtype=float))
+        numbers = np.atleast_1d(np.array(parts, dtype=float))[:n]
     except ValueError:
-        raise InputError(f"{name} must be numbers, got {str(value)!r}") from None
+        raise InputError(f"{name} must be numbers, got {short(str(value))}") from None
     if not np.isfinite(numbers).all():
-        raise InputError(f"{name} must be finite numbers, got {str(value)!r}")
+        raise InputError(f"{name} must be finite numbers, got {short(str(value))}")
     return numbers

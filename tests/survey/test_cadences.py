@@ -132,7 +132,12 @@ def changed(**columns):
             "the columns of cadence 'twice' must have one value per epoch",
         ),
         (changed(n_exp=["0", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be whole numbers from 1"),
-        (changed(n_exp=["300", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be whole numbers from 1"),
+        (
+            changed(n_exp=["300", "1 1", "2 2", "1 2 1", "1 1"]),
+            "a cadence of targets must have at most 255 exposures, got 300 in 'once'",
+        ),
+        (changed(n_epochs=[1, 2, 2, 2.5, 2]), "n_epochs of cadence 'thrice' must be a whole number from 0, got '2.5'"),
+        (changed(n_epochs=[1, 3, 2, 3, 2]), "the columns of cadence 'twice' must have one value per epoch"),
         (changed(n_exp=["x", "1 1", "2 2", "1 2 1", "1 1"]), "n_exp of cadence 'once' must be numbers, got 'x'"),
         (
             changed(delta_min=["nan", "0 3", "0 2", "0 1 5", "0 -1"]),
@@ -150,6 +155,39 @@ def test_bad_cadences(table, message):
     catalog, tiling = scene(1)
     with pytest.raises(rs.InputError, match=message):
         rs.plan_survey(catalog, instrument(), tiling, visits=Cadences(table), allocator="nearest")
+
+
+def padded(n_columns, upper):
+    """Return the table of cadences in the layout of the files of SDSS-V, with a long cadence that no target has."""
+    names = {"n_exp": "nexp"} if upper else {}
+    values = {name: [text.split() for text in TABLE[name]] + [["1"] * n_columns] for name in TABLE.colnames[1:]}
+    table = Table({"cadence": [*TABLE["cadence"], "long"], "nepochs": [len(row) for row in values["n_exp"]]})
+    for name, rows in values.items():
+        table[names.get(name, name)] = [[float(v) for v in row] + [0.0] * (n_columns - len(row)) for row in rows]
+    table["nexp" if upper else "n_exp"][-1] = 8
+    return Table(table, names=[name.upper() for name in table.colnames]) if upper else table
+
+
+@pytest.mark.parametrize("upper", [False, True])
+def test_cadences_in_the_layout_of_sdssv(tmp_path, upper):
+    """Names in upper case, padded arrays, and a long cadence that no target has, were refused."""
+    path = tmp_path / "rsCadences.fits"
+    padded(174, upper).write(path)
+    given, cadences = Cadences(TABLE), Cadences(path)
+    assert cadences.names == [*given.names, "long"]
+    for one, other in zip(given.epochs, [*cadences.epochs[:-2], cadences.epochs[-1]], strict=True):
+        np.testing.assert_array_equal(one, other)
+    catalog, tiling = scene(1)
+    assert (given.visits(catalog) == cadences.visits(catalog)).all()
+    for allocator in ("nearest", "joint"):
+        plans = [
+            rs.plan_survey(catalog, instrument(), tiling, visits=v, allocator=allocator) for v in (given, cadences)
+        ]
+        assert (plans[0].outcomes["observed"] == plans[1].outcomes["observed"]).all()
+    long = rs.Catalog(catalog.coord[:1], extra=QTable({"cadence": ["long"]}))
+    with pytest.raises(rs.InputError, match="at most 255 exposures, got 1392 in 'long'") as caught:
+        cadences.visits(long)
+    assert len(str(caught.value)) < 100
 
 
 def test_bad_catalogs_and_tiles(tmp_path):
