@@ -13,9 +13,9 @@ from rfpsurvey._cli._print import PICTURES, print_text
 from rfpsurvey._io import check_fits_text, read_table, suffix_of
 from rfpsurvey._outputs import WRITABLE, check_output, check_separate
 from rfpsurvey._units import to_center
-from rfpsurvey.catalog import UNITS, as_catalog, to_time
+from rfpsurvey.catalog import UNITS, as_catalog, select_rows, to_time
 from rfpsurvey.constraints import Rule, as_constraints
-from rfpsurvey.errors import check_choice, listed, used_elsewhere, warn_no_effect
+from rfpsurvey.errors import check_choice, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
 from rfpsurvey.plans import is_plan, native_format, read_plan
 from rfpsurvey.survey import JOINT, VisitRule
@@ -111,15 +111,15 @@ def read_catalog(keys):
     options = {name: getattr(keys, name) or {} for name in ("columns", "units", "fill")}
     options |= {"frame": keys.frame, "keep": keys.keep}
     if keys.path.is_dir():
-        for name in ("hdu", "epoch"):
+        for name in ("hdu", "epoch", "select"):
             if getattr(keys, name) is not None:
-                raise rs.InputError(f"{name} must be used only with FITS files, got the folder {keys.path}")
+                raise rs.InputError(f"{name} must be used only with files, got the folder {keys.path}")
         parts = rs.catalog.PartitionedCatalog(keys.path, **options)
         for name in ("collection", "columns"):
             if name in parts.meta:
                 print_text(f"{name}: {parts.meta[name]}")
         return parts
-    catalog = rs.Catalog.read(keys.path, **options, hdu=keys.hdu)
+    catalog = rs.Catalog.read(keys.path, **options, hdu=keys.hdu, select=keys.select)
     print_text(f"columns: {catalog.meta['columns']}")
     return catalog if keys.epoch is None else replace(catalog, epoch=keys.epoch)
 
@@ -156,18 +156,13 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
 
 def read_assignment(keys):
     """Read a table, and select the rows with the given values of columns; values are compared as text."""
-    select = keys.select or {}
     if native_format(keys.path) is None or keys.hdu is not None:
         table = read_table(keys.path, keys.hdu, "; to read another table, give --set catalog.hdu=NAME")
     else:
         table = read_plan(keys.path)
-    for name, value in select.items():
-        if name not in table.colnames:
-            raise rs.InputError(f"--select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
-        table = table[[str(getattr(v, "value", v)) == value for v in table[name]]]
-        if len(table) == 0:
-            raise rs.InputError(f"--select {name}={value} selects no row")
-    table.meta.update(file=keys.path.name, select=", ".join(f"{name}={value}" for name, value in select.items()))
+    table, _ = select_rows(table, keys.select)
+    select = ", ".join(f"{name}={value}" for name, value in (keys.select or {}).items())
+    table.meta.update(file=keys.path.name, select=select)
     return table
 
 

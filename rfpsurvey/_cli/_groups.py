@@ -51,12 +51,15 @@ class TableKeys:
         Units of columns that have no unit, by role, such as ra=deg.
     hdu : str or int, optional
         Number or name (EXTNAME) of the table in a FITS file with several tables.
+    select : dict[str, Text], optional
+        Use only rows with these values of columns, such as resolution=L.
     """
 
     path: Path | None = None
     columns: dict[str, str] | None = None
     units: dict[str, str] | None = None
     hdu: str | int | None = None
+    select: dict[str, Text] | None = None
 
 
 @dataclass(frozen=True)

@@ -71,15 +71,16 @@ def read_tiles(keys) -> "rs.Tiling | None":
     """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
     columns, units = keys.columns or {}, keys.units or {}
     if keys.path is None:
-        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu}.items():
+        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu, "select": keys.select}.items():
             if value:
                 warn_no_effect(f"tiles.{name}", "without a table of tiles")
         return None
-    tiling = rs.Tiling.read(keys.path, columns, units, keys.hdu)
+    tiling = rs.Tiling.read(keys.path, columns, units, keys.hdu, keys.select)
     meta = tiling.table.meta
     if any(role != name for role, name in meta["columns"].items()):
         said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
-        print_text(f"columns of tiles: {said}" + (f"; omitted: {meta['omitted']}" if "omitted" in meta else ""))
+        more = [f"; {name}: {meta[name]}" for name in ("omitted", "selected") if name in meta]
+        print_text(f"columns of tiles: {said}" + "".join(more))
     return tiling
 
 

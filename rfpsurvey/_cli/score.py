@@ -27,11 +27,7 @@ class AssignmentKeys(_groups.TableKeys):
         Units of columns that have no unit, by role, such as ra=deg.
     hdu : str or int, optional
         Number or name (EXTNAME) of the table in a FITS file with several tables.
-    select : dict[str, str], optional
-        Use only rows with these values of columns, such as field=1.
     """
-
-    select: dict[str, str] | None = None
 
 
 @dataclass(frozen=True)

@@ -197,6 +197,7 @@ class Catalog:
         frame: str = "icrs",
         fill: dict | None = None,
         keep: list | None = None,
+        select: dict | None = None,
     ) -> "Catalog":
         """Make a catalog from a table or DataFrame; columns are found by common names or by UCDs.
 
@@ -207,9 +208,9 @@ class Catalog:
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b`` (with
             ``frame="galactic"``). The columns ``pmra`` (with cos dec), ``pmdec``, ``ref_epoch``, ``id``,
             ``priority``, ``subpriority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized.
-            Target tables of DESI and SDSS-V are recognized by their columns; small priorities of SDSS-V are more
-            important. ``meta["columns"]`` of the catalog states which column has which role. A DataFrame of pandas or
-            Polars and an Arrow table are accepted.
+            Target tables of DESI, PFS and SDSS-V are recognized by their columns; small priorities of PFS and SDSS-V
+            are more important (:ref:`survey-formats`). ``meta["columns"]`` of the catalog states which column has which
+            role. A DataFrame of pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
             Names of columns that are not recognized automatically. The keys are recognized names; for example,
             ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus sign before the name of a column reverses the
@@ -218,7 +219,8 @@ class Catalog:
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             none of the columns of positions and proper motions has a unit, positions are assumed to be in degrees and
             proper motions in mas / yr, and a warning is issued. There is no warning for DataFrames, which cannot have
-            units, and for tables of DESI and SDSS-V. ``meta["assumed_units"]`` lists the columns with an assumed unit.
+            units, and for tables of DESI, PFS and SDSS-V. ``meta["assumed_units"]`` lists the columns with an assumed
+            unit.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
@@ -227,6 +229,9 @@ class Catalog:
             ``category`` or ``fiber_type``, as in ``{"priority": 0}``. Minus signs in ``columns`` do not affect them.
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
+        select : dict, optional
+            Dict from column to value; only rows with these values, compared as text, are read. For example,
+            ``{"resolution": "L"}`` selects the targets of PFS with the low resolution.
 
         Returns
         -------
@@ -250,11 +255,11 @@ class Catalog:
         >>> stars.priority
         array([-11.5, -99. ])
         """
-        return cls._from_table(table, columns, units, frame, fill, keep)
+        return cls._from_table(table, columns, units, frame, fill, keep, select)
 
     @classmethod
-    def _from_table(cls, table, columns, units, frame, fill, keep, *, assume_units=False):
-        return cls(**_tables.read_columns(table, columns, units, frame, fill, keep, assume_units=assume_units))
+    def _from_table(cls, table, columns, units, frame, fill, keep, select=None, *, assume_units=False):
+        return cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select, assume_units=assume_units))
 
     @classmethod
     @check_keywords
@@ -268,6 +273,7 @@ class Catalog:
         fill: dict | None = None,
         keep: list | None = None,
         hdu: int | str | None = None,
+        select: dict | None = None,
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
 
@@ -288,6 +294,8 @@ class Catalog:
             Names of further columns that results include, as in `from_table`.
         hdu : int or str, optional
             Number or name (EXTNAME) of a table in a FITS file; by default, the first table is read.
+        select : dict, optional
+            Values of columns of the rows to read, as in `from_table`.
 
         Returns
         -------
@@ -303,7 +311,7 @@ class Catalog:
         table = read_table(path, hdu)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
-            catalog = cls._from_table(table, columns, units, frame, fill, keep, assume_units=plain)
+            catalog = cls._from_table(table, columns, units, frame, fill, keep, select, assume_units=plain)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta.update({"file": name} if hdu is None else {"file": name, "hdu": hdu})

@@ -38,6 +38,8 @@ ROLES = {
     "fiber_type": ("fiber_type fibertype instrument", ""),
     "subpriority": ("subpriority", ""),
     "visits": ("visits n_visits nvisits n_exposures", ""),
+    "delta_ra": ("", ""),
+    "delta_dec": ("", ""),
     "positioner": (
         "positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id",
         "",
@@ -195,7 +197,7 @@ class Finder:
             if values.dtype.kind == "U":
                 values = np.where(np.isin(np.char.lower(np.char.strip(values)), NOTHING), "nan", values)
             sign = -1.0 if self.columns.get(role, "").startswith("-") else 1.0
-            return sign * values.astype(float)
+            return sign * values.astype(float) + 0.0  # the sum replaces -0.0 by 0.0
         except (TypeError, ValueError):
             what = f"numbers in {UNITS[role]}" if role in UNITS else "numbers"
             row, text = next((k, str(v)) for k, v in enumerate(values.flat) if not is_number(v))

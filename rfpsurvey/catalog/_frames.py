@@ -5,7 +5,7 @@ from astropy.table import Table
 
 from rfpsurvey._readers import table_of_arrow
 from rfpsurvey.catalog._columns import Finder
-from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.errors import InputError, InputTypeError, listed, number_of, refusal, short
 
 
 def is_table(given: object) -> bool:
@@ -36,6 +36,22 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
     except Exception as error:  # other packages can raise any exception
         raise InputError(f"{short(given)} cannot be used as a table: {error}") from error
     raise InputTypeError(f"table must be an astropy Table, a QTable or a DataFrame, got {short(given)}")
+
+
+def select_rows(table: Table, select: dict | None) -> tuple[Table, str]:
+    """Return the rows with the given values of columns, compared as text, and text that states their number."""
+    if not isinstance(select, dict | None):
+        raise refusal("select must be a dict from column to value", select, dict)
+    n = len(table)
+    for name, value in (select or {}).items():
+        if name not in table.colnames:
+            raise InputError(f"select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
+        rows = [str(getattr(own, "value", own)).strip() == str(value) for own in table[name]]
+        table = table[np.array(rows, dtype=bool)]
+        if len(table) == 0:
+            raise InputError(f"select must leave at least one row, got {name}={value}, which selects no row")
+    chosen = ", ".join(f"{name}={value}" for name, value in (select or {}).items())
+    return table, f"; selected: {chosen} ({len(table)} of {number_of(n, 'row')})" if chosen else ""
 
 
 def _is_records(given) -> bool:

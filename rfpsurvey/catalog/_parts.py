@@ -33,6 +33,8 @@ ROLES = (
     "category",
     "fiber_type",
     "visits",
+    "delta_ra",
+    "delta_dec",
 )
 INDEX_ORDER = 29
 SLACK_RAD = 1e-9

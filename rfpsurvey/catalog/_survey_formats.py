@@ -4,9 +4,13 @@ import re
 from collections.abc import Iterable
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
 
-from rfpsurvey.errors import warn
+from rfpsurvey._units import rows_of, to_labels
+from rfpsurvey.errors import InputError, listed, warn
 
 # Columns of DESI with numbers of visits. In desitarget, -1 means that no number was set, because the target is only a
 # standard star or a sky position, or cannot be observed in the conditions of the file.
@@ -20,6 +24,11 @@ SKY = sum(1 << bit for bit in (32, 37))
 UNUSABLE = sum(1 << bit for bit in (36, 50, 51))
 BITS = re.compile(r"(sv\d_)?desi_target")
 
+EXPOSURE = 900 * u.s
+"""Time of one exposure of PFS if a target list states no other time (documentation of the PFS target uploader)."""
+# Offsets of candidates of SDSS-V are at most a few arcmin; larger values, such as -9999.99, are codes for no offset.
+MOST_OFFSET = 900 * u.arcsec
+
 
 class SurveyFormat(NamedTuple):
     """The format of a target table of a survey."""
@@ -30,7 +39,13 @@ class SurveyFormat(NamedTuple):
     bits: str | None = None
     """Name of the column ``DESI_TARGET``, whose bits state the kind of each target."""
     marks: tuple = ()
-    """Names of the columns by which the format is recognized, besides the columns with a role."""
+    """Names of the columns by which the format is recognized, or that are read, besides the columns with a role."""
+    times: bool = False
+    """Whether the column of visits contains exposure times."""
+    exposure: str = ""
+    """Name of the column with the time of one exposure."""
+    mode: str = ""
+    """Name of the column that must have one value, because targets with different values cannot share a tile."""
     doubt: str = ""
     """Text of a warning, if a column of the format is missing."""
 
@@ -38,7 +53,7 @@ class SurveyFormat(NamedTuple):
 def find_format(names: Iterable[str]) -> SurveyFormat | None:
     """Return the survey format of a table with the given column names; None if the table has no such format."""
     lower = {name.lower(): name for name in reversed(list(names))}
-    return _desi(lower) or _sdssv(lower)
+    return _desi(lower) or _sdssv(lower) or _pfs(lower)
 
 
 def _desi(lower: dict) -> SurveyFormat | None:
@@ -69,7 +84,70 @@ def _sdssv(lower: dict) -> SurveyFormat | None:
     # rfpsurvey writes priorities with the sign that it uses, and names the identifiers id or target_id
     if "priority" not in lower or None in found or lower.keys() & {"id", "target_id"}:
         return None
-    return SurveyFormat("SDSS-V candidates", {"priority": f"-{lower['priority']}"}, marks=tuple(found))
+    columns = {name: lower[name] for name in ("delta_ra", "delta_dec") if name in lower}
+    return SurveyFormat("SDSS-V candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(found))
+
+
+def _pfs(lower: dict) -> SurveyFormat | None:
+    """Return the format of target lists of PFS, in which 0 is the highest priority and visits follow from times."""
+    if not lower.keys() >= {"ob_code", "priority", "exptime"} or lower.keys() & {"id", "target_id"}:
+        return None
+    marks = tuple(lower[name] for name in ("ob_code", "single_exptime", "resolution") if name in lower)
+    columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
+    times = not lower.keys() & {"visits", "n_visits", "nvisits"}  # added by the user
+    if not times:
+        del columns["visits"]
+    single, mode = lower.get("single_exptime", ""), lower.get("resolution", "")
+    return SurveyFormat("PFS targets", columns, marks=marks, times=times, exposure=single, mode=mode)
+
+
+def visits_of_times(table: Table, name: str, exposure: str) -> tuple[np.ndarray, str]:
+    """Return the numbers of visits of the targets of PFS, and a remark on the time of one exposure.
+
+    The number is the exposure time of the target over the time of one exposure, rounded up.
+    """
+    total = _times(table[name], name)
+    single = _times(table[exposure], exposure) if exposure else EXPOSURE.value
+    return np.ceil(total / single), f" (divided by {exposure or EXPOSURE}, rounded up)"
+
+
+def _times(column, name: str) -> np.ndarray:
+    """Return the times in a column in seconds; raise an error if a time is not a positive number."""
+    unit = getattr(column, "unit", None) or u.s
+    try:
+        values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan) * unit.to(u.s)
+    except (TypeError, ValueError):
+        raise InputError(f"column {name!r} must hold exposure times in seconds, got text or the unit {unit}") from None
+    if (wrong := ~(np.isfinite(values) & (values > 0))).any():
+        raise InputError(f"column {name!r} must hold positive exposure times, got other values in {rows_of(wrong)}")
+    return values
+
+
+def check_mode(table: Table, name: str, option: str) -> None:
+    """Raise an error if the targets or pointings of a table need different modes of the spectrographs."""
+    modes, counts = np.unique(to_labels(table[name], f"column {name!r}").astype(str), return_counts=True)
+    if len(modes) > 1:
+        got = listed(f"{mode or 'no value'} ({n})" for mode, n in zip(modes.tolist(), counts.tolist(), strict=True))
+        raise InputError(
+            f"column {name!r} must have one value in all rows, because different values cannot share an exposure, got "
+            f"{got}; plan them one after the other, for example with select={{{name!r}: {str(modes[-1])!r}}} or --set "
+            f"{option}.select.{name}={modes[-1]}"
+        )
+
+
+def shifted(coord: SkyCoord, offsets: list[u.Quantity]) -> tuple[SkyCoord, int]:
+    """Return the positions of the fibers of targets of SDSS-V, and the number of targets with an offset.
+
+    The offsets are angles on the sky toward east and north (robostrategy).
+    """
+    east, north = (np.where(np.abs(one) <= MOST_OFFSET, one, 0 * u.arcsec) for one in offsets)
+    n = np.count_nonzero((east != 0) | (north != 0))
+    if not n:
+        return coord, 0
+    icrs = coord.icrs
+    motion = {name: getattr(icrs, name) for name in ("pm_ra_cosdec", "pm_dec") if "s" in icrs.data.differentials}
+    moved = SkyCoord(icrs.ra, icrs.dec).spherical_offsets_by(east, north)
+    return SkyCoord(moved.ra, moved.dec, **motion), n
 
 
 def is_unusable(bits: np.ndarray) -> np.ndarray:

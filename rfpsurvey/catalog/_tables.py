@@ -10,17 +10,25 @@ from rfpsurvey._readers import is_number
 from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
-from rfpsurvey.catalog._frames import as_table
+from rfpsurvey.catalog._frames import as_table, select_rows
 from rfpsurvey.catalog._motion import moving
-from rfpsurvey.catalog._survey_formats import COUNTS, find_format, is_unusable, kinds_and_visits
+from rfpsurvey.catalog._survey_formats import (
+    COUNTS,
+    check_mode,
+    find_format,
+    is_unusable,
+    kinds_and_visits,
+    shifted,
+    visits_of_times,
+)
 from rfpsurvey.catalog._time import FIRST, LAST, to_time
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, short, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, short, warn
 
 PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "subpriority")
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
-def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_units: bool) -> dict:
+def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *, assume_units: bool) -> dict:
     """Read the columns of a table, and return them as a dict of arguments for `Catalog`.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this
@@ -28,6 +36,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     issued, except for tables that cannot have units, such as DataFrames, and for tables of surveys.
     """
     table, is_plain = as_table(table, columns)
+    table, selected = select_rows(table, select)
     table, ledger = _last_entries(table)
     assume_units = assume_units or is_plain
     extra = None if keep is None else pick_columns(table, keep, _names_in_results(table, columns, frame))
@@ -46,12 +55,14 @@ def read_columns(table: Table, columns, units, frame, fill, keep, *, assume_unit
     if (unset := unset if kind is None else unset & (kind == "science")).any():
         text = f"column {find.name_of('visits')!r} (visits) is negative (not set) in {rows_of(unset)}"
         warn(f"{text}, which are not standard stars or sky positions; no visits of these targets are requested")
-    coord = _coordinates(find, frame)
+    if find.format is not None and find.format.mode:
+        check_mode(table, find.format.mode, "catalog")
+    coord = _with_offsets(find, _coordinates(find, frame))
     find.warn_of_doubt()
     meta = _plain_meta(table.meta)
     if mixed := _sky_coords(find):
         roles = [role for role in roles if role not in ("ra", "dec", "lon", "lat", "pmra", "pmdec")]
-    meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed)
+    meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed) + selected
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or find.format):
@@ -96,7 +107,7 @@ def catalog_roles(frame: str) -> tuple[str, ...]:
     """Return the roles of the columns that a catalog with coordinates in the given frame uses."""
     equatorial = ("ra", "dec", "pmra", "pmdec")
     return (
-        *("priority", "subpriority", "visits", "kind", "category", "fiber_type", "id"),
+        *("priority", "subpriority", "visits", "kind", "category", "fiber_type", "id", "delta_ra", "delta_dec"),
         *(equatorial if str(frame).lower() in EQUATORIAL else ("lon", "lat")),
         "epoch",
     )
@@ -107,6 +118,9 @@ def _visits(find: Finder) -> tuple[np.ndarray | None, np.ndarray]:
 
     No visits are requested in these rows.
     """
+    if find.format is not None and find.format.times and "visits" not in find.given:
+        visits, find.remarks["visits"] = visits_of_times(find.table, find.name_of("visits"), find.format.exposure)
+        return visits, np.zeros(len(visits), dtype=bool)
     visits = find.complete("visits")
     if visits is None or find.name_of("visits").lower() not in COUNTS:
         return visits, np.zeros(len(find.table), dtype=bool)
@@ -189,6 +203,17 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
         return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:
         raise InputError(f"frame {frame!r} cannot be used: {error}") from error
+
+
+def _with_offsets(find: Finder, coord: SkyCoord) -> SkyCoord:
+    """Return the positions plus the offsets of candidates of SDSS-V, if the table has offsets."""
+    roles = ("delta_ra", "delta_dec")
+    if None in [find.name_of(role) for role in roles]:
+        return coord
+    offsets = [np.nan_to_num(find.numbers(role)) * (find.unit_of(role) or u.arcsec) for role in roles]
+    coord, n = shifted(coord, offsets)
+    find.remarks["delta_dec"] = f" (added to the positions of {number_of(n, 'target')})"
+    return coord
 
 
 def _check_frame(frame: str) -> None:

@@ -10,10 +10,11 @@ from rfpsurvey.instrument._instrument import (
     every_instrument,
 )
 from rfpsurvey.instrument._missing import impossible_sentence
-from rfpsurvey.instrument._pfs_map import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.instrument._pfs_map import PFI_ANGLE, pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.instrument._states import describe_states
 
 __all__ = [
+    "PFI_ANGLE",
     "Instrument",
     "ProjectionComparison",
     "arm_facts",

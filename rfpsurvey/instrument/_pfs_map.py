@@ -11,6 +11,10 @@ from rfpsurvey.errors import InputError
 N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # numbers of fields, of modules per field and of cobras per module
 N = N_FIELDS * N_MODULES * N_COBRAS
 PITCH = 8.0
+# Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
+# +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
+# in the design 0x2a3e0e7f53f47587.
+PFI_ANGLE = -89.898
 # Boards of cobras in the order of their fibers along the slit of each spectrograph. A name consists of the number of a
 # module in its field and of the half of this module, A or B. Each name stands for three boards, one of each field.
 BOARDS = ("4A 12A 4B 14B 12B 8B 8A", "3A 11A 3B 13B 11B 7B 7A", "2A 10A 2B 14A 10B 6B 6A", "1A 9A 1B 13A 9B 5B 5A")

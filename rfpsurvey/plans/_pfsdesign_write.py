@@ -14,14 +14,10 @@ from rfpsurvey._io import output_path
 from rfpsurvey._readers import sentence
 from rfpsurvey._units import check_columns, check_unique
 from rfpsurvey.errors import InputError, listed
-from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey.instrument import PFI_ANGLE, pfs_engineering_fibers, pfs_fibers
 from rfpsurvey.plans._plan import own_name
 from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
 
-# Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
-# +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
-# in the design 0x2a3e0e7f53f47587.
-PFI_ANGLE = -89.898
 TYPES = {"science": 1, "sky": 2, "standard": 3}
 UNASSIGNED, ENGINEERING, GOOD, NO_COBRA = 4, 5, 1, 65533
 NATIVE = {"target_id": "objId", "ra": "ra", "dec": "dec", "pm_ra": "pmRa", "pm_dec": "pmDec"}

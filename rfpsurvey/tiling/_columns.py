@@ -1,20 +1,22 @@
 """Find the columns of a table of tiles, and read the centers and position angles of the tiles."""
 
+import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._units import to_flags
-from rfpsurvey.catalog import Finder
+from rfpsurvey.catalog import Finder, check_mode
 from rfpsurvey.errors import InputError, check_choice, number_of, refusal, warn
+from rfpsurvey.instrument import PFI_ANGLE
 
 COLUMNS = ("tile", "ra", "dec", "position_angle", "pass")
 # Common names of the columns, in order of preference. Upper case and lower case are not distinguished.
 NAMES = {
-    "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan id name identifier",
-    "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
-    "dec": "dec deccen dec_cen decen tile_dec tiledec field_dec center_dec deccenter dec_center dec_deg decdeg dej2000 "
-    "decj2000 de_icrs dec_icrs",
-    "position_angle": "position_angle positionangle pa field_pa posang pos_angle fieldrot",
+    "tile": "tile tileid tile_id field field_id fieldid plate plateid plate_id plan ppc_code id name identifier",
+    "ra": "ra racen ra_cen tile_ra tilera field_ra center_ra ppc_ra racenter ra_center ra_deg radeg raj2000 ra_icrs",
+    "dec": "dec deccen dec_cen decen tile_dec tiledec field_dec center_dec ppc_dec deccenter dec_center dec_deg decdeg "
+    "dej2000 decj2000 de_icrs dec_icrs",
+    "position_angle": "position_angle positionangle pa field_pa posang pos_angle fieldrot ppc_pa",
     "pass": "pass passnum pass_number layer visit",
 }
 ANGLES = ("ra", "dec", "position_angle")
@@ -35,6 +37,23 @@ def find_names(table: Table, columns: dict | None) -> dict[str, str]:
     if missing := [role for role in ("ra", "dec") if role not in names]:
         raise Finder(table).missing(" and ".join(missing), "--set tiles.columns.")
     return names
+
+
+def is_of_pfs(names: dict[str, str]) -> bool:
+    """Return whether a table contains pointings of PFS, in degrees."""
+    return names["ra"].lower() == "ppc_ra"
+
+
+def pfs_angle(table: Table, names: dict[str, str]) -> u.Quantity:
+    """Return the position angle of the focal plane of PFS at ``ppc_pa`` = 0, or 0 for tables without ``ppc_ra``.
+
+    An error is raised if the pointings need different resolutions.
+    """
+    if not is_of_pfs(names):
+        return 0 * u.deg
+    if mode := next((name for name in table.colnames if name.lower() == "ppc_resolution"), None):
+        check_mode(table, mode, "tiles")
+    return PFI_ANGLE * u.deg if names.get("position_angle", "ppc_pa").lower() == "ppc_pa" else 0 * u.deg
 
 
 def without_others(table: Table) -> tuple[Table, str]:

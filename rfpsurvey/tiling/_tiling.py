@@ -12,10 +12,10 @@ from astropy.table import QTable, Table
 from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
-from rfpsurvey.catalog import SkyIndex, as_table, is_table
+from rfpsurvey.catalog import SkyIndex, as_table, is_table, select_rows
 from rfpsurvey.errors import InputError, InputTypeError, number_of
 from rfpsurvey.observing import ObservingConditions, check_conditions
-from rfpsurvey.tiling._columns import COLUMNS, find_names, read_angles, without_others
+from rfpsurvey.tiling._columns import COLUMNS, find_names, is_of_pfs, pfs_angle, read_angles, without_others
 from rfpsurvey.tiling._conditions import convert_when
 
 
@@ -146,7 +146,9 @@ class Tiling:
         return to_vectors(self.coord)
 
     @classmethod
-    def from_table(cls, table: Table, columns: dict | None = None, units: dict | None = None) -> "Tiling":
+    def from_table(
+        cls, table: Table, columns: dict | None = None, units: dict | None = None, select: dict | None = None
+    ) -> "Tiling":
         """Make a tiling from a table whose columns have common names.
 
         Parameters
@@ -156,7 +158,9 @@ class Tiling:
             These columns are optional: the identifier (``tile``, ``tileid``, ``field``, ...; the row number by
             default), ``pass`` (1 by default) and the position angle (``position_angle``, ``pa``, ``field_pa``,
             ``posang``; 0 by default). Other columns are kept. Tiles whose value in the column ``IN_DESI`` is 0 are not
-            part of DESI's survey, and are omitted. A DataFrame of pandas or Polars and an Arrow table are accepted.
+            part of DESI's survey, and are omitted. Lists of pointings of PFS (``ppc_ra``) are recognized; ``ppc_pa``
+            is the angle POSANG, which differs from the position angle (:doc:`/as_built_others`). A DataFrame of pandas
+            or Polars and an Arrow table are accepted.
         columns : dict, optional
             Dict from role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns whose
             names are not recognized.
@@ -164,6 +168,8 @@ class Tiling:
             Dict from role to unit, for columns without a unit, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             neither right ascensions nor declinations have a unit in the table, degrees are assumed, and a warning is
             issued. There is no warning for DataFrames, which cannot have units, and for lists of tiles of DESI.
+        select : dict, optional
+            Dict from column to value; only rows with these values, compared as text, are read.
 
         Returns
         -------
@@ -177,22 +183,29 @@ class Tiling:
             If coordinates are missing or out of range, if only one of the two coordinates has a unit, or if an
             identifier or a tile occurs twice.
         """
-        return cls._from_table(table, columns, units, assume_units=False)
+        return cls._from_table(table, columns, units, select, assume_units=False)
 
     @classmethod
-    def _from_table(cls, table, columns, units, *, assume_units):
+    def _from_table(cls, table, columns, units, select, *, assume_units):
         table, is_plain = as_table(table, index_as_id=False)
+        table, selected = select_rows(table, select)
         names = find_names(table, columns)
         table, said = without_others(table)
-        meta = {name: value for name, value in table.meta.items() if name != "omitted"} | {"columns": names}
+        meta = {name: value for name, value in table.meta.items() if name not in ("omitted", "selected")} | {
+            "columns": names
+        }
         meta |= {"omitted": said} if said else {}
-        n, found = len(table), read_angles(table, names, units, silent=assume_units or is_plain or bool(said))
+        meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
+        n, found = (
+            len(table),
+            read_angles(table, names, units, silent=assume_units or is_plain or bool(said) or is_of_pfs(names)),
+        )
         result = QTable(
             {
                 "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
                 "ra": found["ra"],
                 "dec": found["dec"],
-                "position_angle": found.get("position_angle", np.zeros(n) * u.deg),
+                "position_angle": found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names),
                 "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
             },
             meta=meta,
@@ -209,6 +222,7 @@ class Tiling:
         columns: dict | None = None,
         units: dict | None = None,
         hdu: int | str | None = None,
+        select: dict | None = None,
     ) -> "Tiling":
         """Read a tiling from a file that this package wrote, or from a file with another list of tiles.
 
@@ -222,6 +236,8 @@ class Tiling:
         hdu : int or str, optional
             Number or name (EXTNAME) of the header-data unit that contains the table, for FITS files with several
             tables. By default, the first table is read.
+        select : dict, optional
+            Values of columns of the rows to read, as in `from_table`.
 
         Returns
         -------
@@ -238,7 +254,7 @@ class Tiling:
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
             return cls._from_table(
-                table, columns, units, assume_units=_io.suffix_of(path) in (".csv", ".tsv", ".parquet")
+                table, columns, units, select, assume_units=_io.suffix_of(path) in (".csv", ".tsv", ".parquet")
             )
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

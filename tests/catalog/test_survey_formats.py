@@ -1,10 +1,12 @@
-"""Target tables of DESI and SDSS-V are read as their data models define the columns."""
+"""Target tables of DESI, PFS and SDSS-V are read as their data models define the columns."""
 
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table, vstack
 from astropy.time import Time
+from numpy.testing import assert_allclose
 
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError, RfpsurveyWarning
@@ -295,3 +297,114 @@ def test_joined_files_of_desi_are_read():
     targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
     sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
     assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
+
+
+def pfs(n=4, **columns):
+    """Return a target list of PFS, as the target uploader defines it."""
+    table = Table({"ob_code": [f"ob{k}" for k in range(n)], "obj_id": 4000 + np.arange(n)})
+    table["ra"], table["dec"] = 150 + 0.01 * np.arange(n), np.full(n, 2.0)
+    rest = {"exptime": [900.0, 901.0, 1963.5, 450.0], "priority": [0, 1, 5, 9], "resolution": ["L"] * 4}
+    for name, values in {**rest, **columns}.items():
+        table[name] = values
+    return table
+
+
+def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times():
+    """Priority 9, the lowest one, took the fibers, and every target had one visit."""
+    catalog = rs.Catalog.from_table(pfs())
+    assert catalog.priority.tolist() == [0, -1, -5, -9]
+    assert not np.signbit(catalog.priority[0])
+    assert catalog.visits.tolist() == [1, 2, 3, 1]
+    assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
+    stated = "PFS targets: priority: priority (reversed sign), visits: exptime (divided by 900.0 s, rounded up)"
+    assert catalog.meta["columns"].startswith(stated)
+    assert "ob_code, resolution" in catalog.meta["columns"].partition("not used: ")[2]
+    timed = pfs(single_exptime=[450, 300, 1963.5, 900])
+    assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
+    timed["exptime"].unit, timed["single_exptime"].unit = "min", "min"
+    assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
+    assert rs.Catalog.from_table(pfs(visits=[7, 7, 7, 7])).visits.tolist() == [7] * 4
+    named = rs.Catalog.from_table(pfs(mine=[3] * 4), columns={"visits": "mine", "priority": "priority"})
+    assert (named.visits.tolist(), named.priority.tolist()) == ([3] * 4, [0, 1, 5, 9])
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
+    rng = np.random.default_rng(seed)
+    total, single = rng.integers(1, 20000, 4), rng.integers(100, 3000, 4)
+    found = rs.Catalog.from_table(pfs(exptime=total, single_exptime=single)).visits.astype(int)
+    assert (found * single >= total).all()
+    assert ((found - 1) * single < total).all()
+
+
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        (
+            {"exptime": [900, 0, 900, 900]},
+            "column 'exptime' must hold positive exposure times, got other values in 1 of",
+        ),
+        ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
+        ({"single_exptime": [900, np.nan, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
+        ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
+        ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
+    ],
+)
+def test_bad_target_lists_of_pfs_are_refused(columns, message):
+    with pytest.raises(InputError, match=message):
+        rs.Catalog.from_table(pfs(**columns))
+
+
+def test_rows_of_a_table_are_selected(tmp_path, run):
+    table = pfs(resolution=["L", "M", "L", "M"])
+    catalog = rs.Catalog.from_table(table, select={"resolution": "M", "priority": 9})
+    assert catalog.id.tolist() == [4003]
+    assert catalog.meta["columns"].endswith("; selected: resolution=M, priority=9 (1 of 4 rows)")
+    for select, message in (
+        ({"resolution": "H"}, "select must leave at least one row, got resolution=H, which selects no row"),
+        ({"other": 1}, "select: there is no column 'other'"),
+        (["resolution"], "select must be a dict"),
+    ):
+        with pytest.raises(InputError, match=message):
+            rs.Catalog.from_table(table, select=select)
+    table["ra"] += 0.2 * np.arange(4)
+    table.write(tmp_path / "list.csv")
+    common = "plan", tmp_path / "list.csv", "--instrument", "pfs"
+    code, _, err = run(*common)
+    assert (code, "--set catalog.select.resolution=M" in err) == (2, True)
+    code, out, err = run(*common, "--set", "catalog.select.resolution=M")
+    assert code == 0, err
+    assert "selected: resolution=M (2 of 4 rows)" in " ".join(out.split())
+
+
+def test_offsets_of_candidates_of_sdssv_are_added_to_the_positions():
+    """The offsets were among the columns that are not used."""
+    offsets = {"delta_ra": [30.0, -9999.99], "delta_dec": [-40.0, 0.0], "pmra": [10.0, 0.0], "pmdec": [5.0, 1.0]}
+    table = sdssv(**offsets, ref_epoch=[2015.5, 2015.5])
+    table["dec"] = [60, 0] * u.deg
+    table["pmra"].unit = table["pmdec"].unit = "mas/yr"
+    catalog = rs.Catalog.from_table(table)
+    there = SkyCoord(table["ra"], table["dec"])
+    east, north = there[0].spherical_offsets_to(catalog.coord[0])
+    assert_allclose([east.arcsec, north.arcsec], [30, -40], rtol=0, atol=1e-9)
+    assert catalog.coord[1].separation(there[1]).arcsec == 0
+    assert_allclose(catalog.coord.pm_ra_cosdec.to_value(u.mas / u.yr), [10, 0])
+    assert "delta_dec: delta_dec (added to the positions of 1 target)" in catalog.meta["columns"]
+    other = Table(table)
+    other.remove_column("fiberType")  # not a table of SDSS-V: the meaning of the columns is unknown
+    assert rs.Catalog.from_table(other).coord[0].separation(there[0]).arcsec == 0
+
+
+def test_pointings_of_pfs_are_tiles():
+    table = Table({"ppc_code": ["P1", "P2", "P3"], "ppc_ra": [150.0, 151.0, 152.0], "ppc_dec": [2.0, 2.5, 3.0]})
+    plain = rs.Tiling.from_table(table)
+    assert plain.table["tile"].tolist() == ["P1", "P2", "P3"]
+    table["ppc_pa"], table["ppc_resolution"] = [0.0, 60.0, 90.0], ["L", "M", "L"]
+    with pytest.raises(InputError, match=r"got L \(2\), M \(1\); .* --set tiles.select.ppc_resolution=M"):
+        rs.Tiling.from_table(table)
+    tiling = rs.Tiling.from_table(table, select={"ppc_resolution": "L"})
+    assert tiling.table["ra"].to_value(u.deg).tolist() == [150, 152]
+    # at ppc_pa = 0, +x of the focal plane points north and +y points west (a design of the observatory)
+    assert_allclose(tiling.table["position_angle"].to_value(u.deg), [-89.898, 90 - 89.898])
+    assert_allclose(plain.table["position_angle"].to_value(u.deg), -89.898)
+    assert tiling.table.meta["selected"] == "ppc_resolution=L (2 of 3 rows)"
