@@ -19,7 +19,9 @@ from astropy.time import Time
 from rfpsurvey._readers import is_number, read_table
 from rfpsurvey._units import check_columns, to_labels, to_plain
 from rfpsurvey.errors import InputError, InputUnitsError, check_choice, close_to, listed, short, warn
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._desi_state import moment_of
+from rfpsurvey.instrument._desi_tables import ROW, numbers, whole
 
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
@@ -29,9 +31,13 @@ LISTED = "layout.states"
 SUMMARY = "states"
 """First word of the names of the values that summarize the states of positioners."""
 STATES = ("broken", "stuck", "restored")
-WORDS = {**{state: state for state in STATES}, "ok": "restored"}
+UNCHANGED = "unchanged"
+"""State of rows that change nothing."""
+WORDS = {**{state: state for state in STATES}, "ok": "restored", UNCHANGED: UNCHANGED}
 PARTS = ("file", "time", *STATES, "unused_rows", "digest")
 COLUMNS = ("id", "state", "from", "to", "theta", "phi")
+DESI = ("LOCATION", "BROKEN", "STUCK")
+"""Columns by which the table fiberstatus of DESI's fiberassign is recognized."""
 MOST_ANGLE = 400.0
 FIRST_JD, LAST_JD = 2.3e6, 2.6e6
 ALWAYS = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
@@ -62,12 +68,14 @@ class States:
         states : str, path-like or Table
             Table, or file with a table, that has one row for each state of a positioner. The column ``id`` contains
             the identifiers of the positioners. The optional column ``state`` contains ``broken`` (the default),
-            ``stuck``, or ``ok`` or ``restored``. A broken positioner takes no target; it is an obstacle in the pose
-            of the columns ``theta`` and ``phi``, or parked if the row states no pose. A stuck positioner takes no
-            target either and is an obstacle in its pose, and its fiber can observe blank sky. The state ``ok``
+            ``stuck``, ``ok`` or ``restored``, or ``unchanged`` (the row has no effect). A broken positioner takes no
+            target; it is an obstacle in the pose of the columns ``theta`` and ``phi``, or parked if the row states no
+            pose. A stuck positioner takes no target either and is an obstacle in its pose, and its fiber can observe
+            blank sky. The state ``ok``
             replaces a state that the instrument has. The optional columns ``from`` and ``to`` contain the time (UTC)
             at which the state begins and the time at which it has ended: a date and time as text in ISO 8601, a
-            Julian date, or no value if there is no limit. Angles without a unit are in degrees.
+            Julian date, or no value if there is no limit. Angles without a unit are in degrees. The table
+            ``fiberstatus.ecsv`` of DESI's fiberassign is also accepted (:doc:`/as_built_others`).
         time : Time or str, optional
             Time at which the states are evaluated, in UTC; required if a row has a date. If several times are given,
             all of them must give the same states.
@@ -100,7 +108,7 @@ class States:
             from rfpsurvey.catalog import as_table  # imported on first use, like most parts of the package
 
             table, what, name = as_table(states, index_as_id=False)[0], "states", "a table"
-        return _apply(self, _rows(table, what), time, what, name)
+        return _apply(self, _rows(table, self.focal_plane, what), time, what, name)
 
 
 def apply_entry(instrument: "Instrument", folder: Path, time: Time | str | None) -> "Instrument":
@@ -110,12 +118,14 @@ def apply_entry(instrument: "Instrument", folder: Path, time: Time | str | None)
     instrument, origin = replace(instrument, values=values), {part: entry[part] for part in ("status", "source")}
     if isinstance(entry["value"], str):
         path = folder / entry["value"]
-        return _apply(instrument, _rows(read_table(path), str(path)), time, str(path), path.name, origin)
+        rows = _rows(read_table(path), instrument.focal_plane, str(path))
+        return _apply(instrument, rows, time, str(path), path.name, origin)
     names = dict.fromkeys(name for row in entry["value"] for name in row)
     for name in names:
         check_choice(name, COLUMNS, f"key of {LISTED}")
     table = Table({name: _cells([row.get(name) for row in entry["value"]]) for name in names})
-    return _apply(instrument, _rows(table, LISTED), time, LISTED, "the description", origin)
+    rows = _rows(table, instrument.focal_plane, LISTED)
+    return _apply(instrument, rows, time, LISTED, "the description", origin)
 
 
 def describe_states(instrument: "Instrument") -> str:
@@ -172,8 +182,8 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
 
 def _applies(row: Row, moments: list[datetime], what: str) -> bool:
     """Return whether a row applies at the given moments; raise an error if it applies only at some of them."""
-    if (row.first, row.end) == ALWAYS:
-        return True
+    if row.state == UNCHANGED or (row.first, row.end) == ALWAYS:
+        return row.state != UNCHANGED
     if not moments:
         raise InputError(
             f"{what}: the time of the observation must be given, because rows have dates (columns from and to), got no "
@@ -218,7 +228,7 @@ def _check_ids(rows: list[Row], index: dict[str, int], what: str, instrument: st
 def _check_overlaps(rows: list[Row], what: str) -> None:
     """Raise an error if rows for the same positioner overlap in time but state different states or poses."""
     last = {}
-    for row in sorted(rows, key=lambda row: (row.first, row.end)):
+    for row in sorted((row for row in rows if row.state != UNCHANGED), key=lambda row: (row.first, row.end)):
         other = last.get(row.id)
         if other is not None and row.first < other.end and (row.state, row.pose) != (other.state, other.pose):
             raise InputError(
@@ -229,8 +239,10 @@ def _check_overlaps(rows: list[Row], what: str) -> None:
             last[row.id] = row
 
 
-def _rows(table: Table, what: str) -> list[Row]:
+def _rows(table: Table, plane: FocalPlane, what: str) -> list[Row]:
     """Return the rows of a table of states, or raise an error if a value is not valid."""
+    if {*DESI} <= {*table.colnames}:
+        table = _of_desi(table.copy(), plane, what)
     names = table.colnames
     check_columns(names, ["id"], f"{what}: the table")
     for name in names:
@@ -260,6 +272,33 @@ def _rows(table: Table, what: str) -> list[Row]:
             )
         rows.append(Row(own, state, first, end, tuple(given) or None))
     return rows
+
+
+def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
+    """Return a table of states for the table fiberstatus of fiberassign, whose x axis has the opposite direction."""
+    check_columns(table.colnames, [*DESI, "X", "Y"], f"{what}: the table")
+    ids, broken, stuck = (whole(table, name, what) for name in DESI)
+    table[ROW], row_of = np.arange(1, len(table) + 1), {str(own): k for k, own in enumerate(plane.id.tolist())}
+    known = np.isin(ids.astype(str), list(row_of))
+    # rows of unknown positioners are refused later
+    poses = np.where((stuck != 0) & ~known, 0.0, np.nan)[:, None].repeat(2, axis=1)
+    fixed = np.flatnonzero((stuck != 0) & known)
+    places = [sign * numbers(table[fixed], name, u.mm, what) for sign, name in ((-1, "X"), (1, "Y"))]
+    for k, place in zip(fixed.tolist(), np.column_stack(places), strict=True):
+        row, xy = row_of[str(ids[k])], np.full((len(plane), 2), np.nan)
+        xy[row] = place
+        poses[k] = [angles[row].to_value(u.deg) for angles in plane.inverse(xy * u.mm)]
+        if np.isnan(poses[k]).any():
+            raise InputError(
+                f"{what}: X and Y of a stuck fiber must be a position in reach of the positioner, got "
+                f"{-place[0]:g} and {place[1]:g} mm for {ids[k]}"
+            )
+    states = np.where(broken != 0, "broken", np.where(stuck != 0, "stuck", UNCHANGED))
+    found = Table({"id": ids, "state": states, "theta": poses[:, 0], "phi": poses[:, 1]})
+    for name, own in (("from", "START_DATE"), ("to", "END_DATE")):
+        if own in table.colnames:
+            found[name] = table[own]
+    return found
 
 
 def _dates(table: Table, name: str, limit: datetime, what: str) -> list[datetime]:

@@ -323,3 +323,47 @@ def test_a_table_changes_the_states_of_sdssv_as_built(tmp_path):
     k = np.flatnonzero(plane.id == "R-1C14")[0]
     tip = plane.forward(np.full(len(plane), 40) * u.deg, np.full(len(plane), 120) * u.deg)[k].to_value(u.mm)
     assert_allclose(plane.arrays.idle(True).segments[2:, k], tip)
+
+
+def fiberstatus(plane, rows, **changes):
+    """Return the table fiberstatus of fiberassign; two rows are in the past."""
+    fiber = plane.xy[rows].to_value(u.mm) + [2, 1]
+    table = QTable({"FIBER": np.arange(5), "LOCATION": plane.id[rows].astype(int), "X": -fiber[:, 0] * u.mm})
+    table["Y"], table["BROKEN"], table["STUCK"] = fiber[:, 1] * u.mm, [1, 0, 0, 1, 0], [0, 1, 0, 0, 1]
+    table["START_DATE"] = ["2018-02-21T09:23:51"] * 5
+    table["END_DATE"] = ["2100-02-21T09:24:24"] * 3 + ["2020-01-01T00:00:00"] * 2
+    for name, values in changes.items():
+        table[name] = values
+    return table
+
+
+@pytest.mark.parametrize("ending", [".ecsv", ".fits"])
+def test_the_table_of_broken_fibers_of_fiberassign_is_accepted(tmp_path, ending):
+    """The table was refused because it has no column id."""
+    desi_files.metrology(tmp_path / "fp.csv", per_petal=4)
+    with pytest.warns(rs.RfpsurveyWarning, match="DESI has 5000 positioners, but the file has 40"):
+        desi = rs.Instrument.from_desi(tmp_path / "fp.csv")
+    plane, rows = desi.focal_plane, np.arange(0, 20, 4)
+    table = fiberstatus(plane, rows)
+    table.write(tmp_path / f"fiberstatus{ending}")
+    worn = desi.with_states(tmp_path / f"fiberstatus{ending}", time="2026-06-01")
+    assert np.flatnonzero(worn.focal_plane.disabled).tolist() == [0]
+    assert np.flatnonzero(worn.focal_plane.arrays.is_stuck).tolist() == [4]
+    theta, phi = (angle.copy() for angle in worn.focal_plane.stuck.T)
+    assert_allclose(plane.forward(np.nan_to_num(theta), np.nan_to_num(phi))[4].value, plane.xy[4].value + [2, 1])
+    assert summary_of(worn)[2:] == [1, 1, 0, 3]
+    assert states_of(desi.with_states(table, time="2019-01-01"))[0] == [0, 12]
+    assert "_row" not in table.colnames
+    with pytest.raises(rs.InputError, match="the time of the observation must be given"):
+        desi.with_states(table)
+    for changes, message in (
+        (
+            {"X": np.full(5, 500) * u.mm},
+            "X and Y of a stuck fiber must be a position in reach of the positioner, got 500",
+        ),
+        ({"X": np.full(5, np.nan) * u.mm}, "column 'X' must hold a finite number for each row, but 2 of 5"),
+        ({"LOCATION": np.arange(5) + 7000}, "id must be identifiers of positioners of desi"),
+        ({"BROKEN": np.full(5, 0.5)}, "column 'BROKEN' must hold a whole number"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            desi.with_states(fiberstatus(plane, rows, **changes), time="2026-06-01")
