@@ -219,8 +219,7 @@ class Catalog:
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             none of the columns of positions and proper motions has a unit, positions are assumed to be in degrees and
             proper motions in mas / yr, and a warning is issued. There is no warning for DataFrames, which cannot have
-            units, and for tables of DESI, PFS and SDSS-V. ``meta["assumed_units"]`` lists the columns with an assumed
-            unit.
+            units, and for tables of DESI, PFS and SDSS-V. ``meta["assumed_units"]`` lists the assumed units.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
@@ -230,8 +229,7 @@ class Catalog:
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
         select : dict, optional
-            Dict from column to value; only rows with these values, compared as text, are read. For example,
-            ``{"resolution": "L"}`` selects the targets of PFS with the low resolution.
+            Dict from column to value, such as ``{"resolution": "L"}``; only rows with these values (as text) are read.
 
         Returns
         -------
@@ -255,11 +253,7 @@ class Catalog:
         >>> stars.priority
         array([-11.5, -99. ])
         """
-        return cls._from_table(table, columns, units, frame, fill, keep, select)
-
-    @classmethod
-    def _from_table(cls, table, columns, units, frame, fill, keep, select=None, *, assume_units=False):
-        return cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select, assume_units=assume_units))
+        return cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select))
 
     @classmethod
     @check_keywords
@@ -311,7 +305,7 @@ class Catalog:
         table = read_table(path, hdu)
         try:
             plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
-            catalog = cls._from_table(table, columns, units, frame, fill, keep, select, assume_units=plain)
+            catalog = cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select, assume_units=plain))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta.update({"file": name} if hdu is None else {"file": name, "hdu": hdu})

@@ -14,7 +14,7 @@ from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, read
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
-from rfpsurvey.catalog._tables import EQUATORIAL
+from rfpsurvey.catalog._tables import EQUATORIAL, read_columns
 from rfpsurvey.errors import InputError, listed
 
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
@@ -211,9 +211,8 @@ class Partitions:
             asked = self.catalog
             if epoch := asked.properties.get("hats_coordinate_epoch"):
                 table.meta["ref_epoch"] = epoch
-            catalog = Catalog._from_table(
-                table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None, assume_units=True
-            )
+            given = table, asked.columns, asked.units, asked.frame, asked.fill, asked.keep or None
+            catalog = Catalog(**read_columns(*given, assume_units=True))
             return replace(catalog, numbered=True) if self._has_no_id else catalog
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

@@ -28,7 +28,7 @@ PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "sub
 EQUATORIAL = ("icrs", "fk5", "fk4", "fk4noeterms")
 
 
-def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *, assume_units: bool) -> dict:
+def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *, assume_units=False) -> dict:
     """Read the columns of a table, and return them as a dict of arguments for `Catalog`.
 
     With ``assume_units``, columns without a unit are assumed to have the default unit of their role. Without this

@@ -362,7 +362,7 @@ def test_the_table_of_broken_fibers_of_fiberassign_is_accepted(tmp_path, ending)
             "X and Y of a stuck fiber must be a position in reach of the positioner, got 500",
         ),
         ({"X": np.full(5, np.nan) * u.mm}, "column 'X' must hold a finite number for each row, but 2 of 5"),
-        ({"LOCATION": np.arange(5) + 7000}, "id must be identifiers of positioners of desi"),
+        ({"LOCATION": np.arange(5) + 17000}, "id must be identifiers of positioners of desi"),
         ({"BROKEN": np.full(5, 0.5)}, "column 'BROKEN' must hold a whole number"),
     ):
         with pytest.raises(rs.InputError, match=message):
