@@ -90,10 +90,13 @@ def _sdssv(lower: dict) -> SurveyFormat | None:
 
 def _pfs(lower: dict) -> SurveyFormat | None:
     """Return the format of target lists of PFS, in which 0 is the highest priority and visits follow from times."""
+    lower = {name if name == "ob_code" else name.removeprefix("ob_"): column for name, column in lower.items()}
     if not lower.keys() >= {"ob_code", "priority", "exptime"} or lower.keys() & {"id", "target_id"}:
         return None
     marks = tuple(lower[name] for name in ("ob_code", "single_exptime", "resolution") if name in lower)
     columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
+    columns |= {role: lower[role] for role in ("ra", "dec") if role in lower}
+    columns |= {} if lower.keys() & {"obj_id", "objid"} else {"id": lower["ob_code"]}
     times = not lower.keys() & {"visits", "n_visits", "nvisits"}  # added by the user
     if not times:
         del columns["visits"]

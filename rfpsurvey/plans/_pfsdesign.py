@@ -48,9 +48,13 @@ STRUCTURE = re.compile(
 
 
 def recognizes(path: Path) -> bool:
-    """Return whether a file is a FITS file with a design identifier and the extension DESIGN."""
+    """Return whether a file is a FITS file with the extension DESIGN and an identifier or a version of the format.
+
+    Some files of the second version have no identifier.
+    """
     head = head_of(path, 2**16)
-    return head.startswith(b"SIMPLE") and b"W_PFDSGN=" in head and b"EXTNAME = 'DESIGN  '" in head
+    is_design = b"W_PFDSGN=" in head or b"DAMD_VER=" in head
+    return head.startswith(b"SIMPLE") and is_design and b"EXTNAME = 'DESIGN  '" in head
 
 
 def read(path: Path) -> QTable:

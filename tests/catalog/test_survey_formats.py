@@ -328,6 +328,20 @@ def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times()
     assert (named.visits.tolist(), named.priority.tolist()) == ([3] * 4, [0, 1, 5, 9])
 
 
+def test_lists_of_the_pointing_planner_of_pfs_are_recognized():
+    """The names of the columns begin with ob_, and the codes are the only identifiers."""
+    table = pfs()["ob_code", "ra", "dec", "priority", "exptime", "resolution"]
+    for name in table.colnames[1:]:
+        table.rename_column(name, f"ob_{name}")
+    catalog = rs.Catalog.from_table(table)
+    assert catalog.priority.tolist() == [0, -1, -5, -9]
+    assert catalog.visits.tolist() == [1, 2, 3, 1]
+    assert catalog.id.tolist() == ["ob0", "ob1", "ob2", "ob3"]
+    table["ob_resolution"] = ["L", "M", "L", "L"]
+    with pytest.raises(InputError, match="--set catalog.select.ob_resolution=M"):
+        rs.Catalog.from_table(table)
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     rng = np.random.default_rng(seed)

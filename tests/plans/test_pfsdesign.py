@@ -46,6 +46,18 @@ def test_a_design_is_recognized_and_read(tmp_path):
     assert plan.meta["guide_stars"]["columns"]["agX"] == [1.5, 2.0, 3.0]
 
 
+def test_a_design_without_an_identifier_is_recognized(tmp_path):
+    """Files of the second version of the format can lack the card W_PFDSGN; such a file was read as any table."""
+    path = write_design(tmp_path / "d.fits", DAMD_VER=2)
+    with fits.open(path) as units:
+        units[0].header.remove("W_PFDSGN")
+        units.writeto(tmp_path / "e.fits")
+    plan, other = (rs.plans.read_plan(one) for one in (path, tmp_path / "e.fits"))
+    assert "W_PFDSGN" not in other.meta["header"]
+    assert (plan["target_id"] == other["target_id"]).all()
+    assert other.meta["instrument"] == "pfs"
+
+
 def test_reading_writing_and_reading_preserves_everything(tmp_path):
     plan = rs.plans.read_plan(write_design(tmp_path / "d.fits"))
     for name in ("e.fits", "e.fits.gz"):
