@@ -209,7 +209,7 @@ class Catalog:
             ``frame="galactic"``). The columns ``pmra`` (with cos dec), ``pmdec``, ``ref_epoch``, ``id``,
             ``priority``, ``subpriority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized.
             Target tables of DESI, PFS and SDSS-V are recognized by their columns; small priorities of PFS and SDSS-V
-            are more important (:ref:`survey-formats`). ``meta["columns"]`` of the catalog states which column has which
+            are more important (:doc:`/conventions`). ``meta["columns"]`` of the catalog states which column has which
             role. A DataFrame of pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
             Names of columns that are not recognized automatically. The keys are recognized names; for example,
