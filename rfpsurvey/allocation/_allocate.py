@@ -9,6 +9,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._roles import has_role, to_kinds
 from rfpsurvey._units import to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey.allocation._allocation import Allocation
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
@@ -23,11 +24,10 @@ from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
-from rfpsurvey.constraints import KINDS, check_counts, count_verdicts
+from rfpsurvey.constraints import check_counts, count_verdicts
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
-    check_choice,
     check_keywords,
     short,
     warn_no_effect,
@@ -141,14 +141,11 @@ def allocate(
     named = focal_plane.fiber_types != ("",) and fiber_type is not None
     columns = TargetColumns(
         None if priority is None else check_one_each(to_numbers(priority, "priority"), n, "priority"),
-        _labels(kind, n, "kind"),
+        _labels(None if kind is None else to_kinds(kind, "kind"), n, "kind"),
         _labels(category, n, "category"),
         to_plain(fiber_type, "fiber_type").astype(str) if named else None,
         _marked(required, n),
     )
-    if columns.kind is not None:
-        for word in np.unique(columns.kind):
-            check_choice(str(word), KINDS, "kind of target")
     order = None
     if subpriority is not None and options.subpriority is not None:
         raise InputError("subpriority must be given either as an array or in the options, got both")
@@ -204,7 +201,7 @@ def assign(
     middle = perf_counter()
     classes, rank = _classes(columns.priority, n)
     if columns.kind is not None:
-        classes, rank = _squeeze(classes, rank, columns.kind == "science")
+        classes, rank = _squeeze(classes, rank, has_role(columns.kind, "science"))
     check_counts(options.counts, focal_plane)
     problem = AllocationProblem(
         focal_plane,

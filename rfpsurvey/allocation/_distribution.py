@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import repair as moves
+from rfpsurvey._roles import has_role
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.constraints import Distribution
 
@@ -24,7 +25,7 @@ class Spread(NamedTuple):
 
 def members(problem, rule: Distribution, what: str, own: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return whether assignments are of a kind or category, and use the fiber type of a rule."""
-    found = np.append((problem.kind == what) | (problem.category == what), False)[target]
+    found = np.append(has_role(problem.kind, what) | (problem.category == what), False)[target]
     if rule.fiber_type:
         found &= problem.fiber_of(own, target) == problem.focal_plane.fiber_types.index(rule.fiber_type)
     return found

@@ -5,6 +5,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey._roles import has_role
 from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import obstacle_tests, touching
@@ -118,7 +119,7 @@ def _codes(problem):
     if problem.any_required:
         columns.append(problem.is_required)
     kinds = {kind for rule in problem.distributions for kind in ("science", rule.what)}
-    columns += [(problem.kind == kind) | (problem.category == kind) for kind in sorted(kinds)]
+    columns += [has_role(problem.kind, kind) | (problem.category == kind) for kind in sorted(kinds)]
     plane = problem.focal_plane
     several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
     if problem.several_fiber_types and several:  # the spectrograph depends on the fiber type

@@ -109,7 +109,7 @@ def with_sky(
             len(plane),
         ),
         "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
-        "kind": np.concatenate([problem.kind.astype("U8"), np.full(k, "sky")]),
+        "kind": np.concatenate([problem.kind, np.full(k, "sky", dtype="U8")]),
         "watched": watched if stuck.any() else None,
         "category": None,
         "is_required": None,

@@ -5,11 +5,12 @@ from dataclasses import fields
 
 import numpy as np
 
+from rfpsurvey._roles import JOINED, KINDS, has_role
 from rfpsurvey._units import is_seed_given
 from rfpsurvey.allocation._constraints import abilities_of
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._plugin import find_improving
-from rfpsurvey.constraints import KINDS, ONLY_CHECKED, Rule, hint_of_name
+from rfpsurvey.constraints import ONLY_CHECKED, Rule, hint_of_name
 from rfpsurvey.errors import listed, warn, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -62,11 +63,11 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
         asked.pop("sky", None)
     asked.pop("science", None)
     columns = [values for name in ("kind", "category") if asked and (values := column(name)) is not None]
-    lacking = {what: one for what, one in asked.items() if not any((values == what).any() for values in columns)}
+    lacking = {what: one for what, one in asked.items() if not any(has_role(values, what).any() for values in columns)}
     if not lacking:
         return
     there = {"science", *(name for values in columns for name in np.unique(values).tolist())}
-    categories = sorted(there - {*KINDS, ""})
+    categories = sorted(there - {*KINDS, *JOINED, ""})
     for what, one in lacking.items():
         hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
         if categories and not hint and what not in KINDS:

@@ -13,6 +13,7 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
+from rfpsurvey._roles import to_kinds
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_numbers, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
@@ -20,7 +21,7 @@ from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns
 from rfpsurvey.catalog._motion import move_coordinates, moving
 from rfpsurvey.catalog._time import known_epochs, to_time
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, number_of, refusal, warn
+from rfpsurvey.errors import InputError, check_keywords, check_switch, number_of, refusal, warn
 
 _PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
 
@@ -43,7 +44,8 @@ class Catalog:
     priority : array_like of float, shape (n,), optional
         Priority of each target; larger values are more important. By default, all targets are equally important.
     kind : array_like of str, shape (n,), optional
-        Kind of each target: ``science``, ``standard`` or ``sky``. By default, all targets are science targets.
+        Kind of each target: ``science``, ``standard`` or ``sky``, or several of these roles, such as
+        ``science+standard``. By default, all targets are science targets.
     category : array_like of str, shape (n,), optional
         Category of each target. Any text is allowed, such as ``sky_boss``.
     fiber_type : array_like of str, shape (n,), optional
@@ -108,16 +110,13 @@ class Catalog:
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None and name in TEXTS:
-                columns[name] = to_plain(value, name).astype(str)
+                columns[name] = to_kinds(value, name) if name == "kind" else to_plain(value, name).astype(str)
             elif value is not None:
                 columns[name] = to_numbers(value, name, unitless=name == "visits")
         extra = extra_columns(self.extra, n)
         for name, value in columns.items():
             if value.shape != (n,):
                 raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
-        if "kind" in columns:
-            for kind in np.unique(columns["kind"]).tolist():
-                check_choice(kind, ("science", "standard", "sky"), "kind of target")
         for name in {"priority", "subpriority"} & set(columns):
             if (lacking := ~np.isfinite(columns[name])).any():
                 raise InputError(f"{name} must be a finite number for every target, but {rows_of(lacking)} have none")

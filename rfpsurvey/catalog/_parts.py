@@ -123,7 +123,7 @@ class Partitions:
         """Names of the columns that are read from each partition."""
         find, path = self.finder, self.files[0][2]
         names = [find.name_of(role) for role in ROLES]
-        names += [] if find.format is None else [find.format.bits, *find.format.marks]
+        names += [] if find.format is None else [find.format.bits, find.format.stars, *find.format.marks]
         needed = ("ra", "dec") if self.catalog.frame.lower() in EQUATORIAL else ("lon", "lat")
         missing = [role for role in needed if names[ROLES.index(role)] is None]
         if missing:

@@ -9,8 +9,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import rows_of, to_labels
-from rfpsurvey.errors import InputError, listed, warn
+from rfpsurvey.errors import InputError, listed
 
 # Columns of DESI with numbers of visits. In desitarget, -1 means that no number was set, because the target is only a
 # standard star or a sky position, or cannot be observed in the conditions of the file.
@@ -21,6 +22,8 @@ COUNTS = ("numobs_init", "numobs_more")
 SCIENCE = sum(1 << bit for bit in (0, 1, 2, 3, 60, 61, 62))
 STANDARD = sum(1 << bit for bit in (33, 34, 35))
 SKY = sum(1 << bit for bit in (32, 37))
+STARS = re.compile(r"(sv\d_)?mws_target")
+"""Name of the column whose bits 33 to 35 are the standard stars of the backup program, such as GAIA_STD_BRIGHT."""
 UNUSABLE = sum(1 << bit for bit in (36, 50, 51))
 BITS = re.compile(r"(sv\d_)?desi_target")
 
@@ -38,6 +41,8 @@ class SurveyFormat(NamedTuple):
     """Name of the column with each role; a leading minus reverses the sign of its numbers."""
     bits: str | None = None
     """Name of the column ``DESI_TARGET``, whose bits state the kind of each target."""
+    stars: str | None = None
+    """Name of the column ``MWS_TARGET``, whose bits state further standard stars."""
     marks: tuple = ()
     """Names of the columns by which the format is recognized, or that are read, besides the columns with a role."""
     times: bool = False
@@ -58,7 +63,7 @@ def find_format(names: Iterable[str]) -> SurveyFormat | None:
 
 def _desi(lower: dict) -> SurveyFormat | None:
     """Return the format of DESI target files (``PRIORITY_INIT``, ``NUMOBS_INIT``) or DESI ledgers (``NUMOBS_MORE``)."""
-    bits = next((name for key, name in lower.items() if BITS.fullmatch(key)), None)
+    bits, stars = (next((lower[key] for key in lower if form.fullmatch(key)), None) for form in (BITS, STARS))
     if bits is None and not lower.keys() & {"priority_init", "numobs_init", "numobs_more"}:
         return None
     start, current = ("priority_init", "numobs_init"), ("priority", "numobs_more")
@@ -74,7 +79,8 @@ def _desi(lower: dict) -> SurveyFormat | None:
         doubt += f"because {used} and {unused} describe different times of a survey"
     if "targetid" in lower:
         columns["id"] = lower["targetid"]
-    return SurveyFormat("DESI ledger" if "numobs_more" in lower else "DESI targets", columns, bits, doubt=doubt)
+    name = "DESI ledger" if "numobs_more" in lower else "DESI targets"
+    return SurveyFormat(name, columns, bits, stars, doubt=doubt)
 
 
 def _sdssv(lower: dict) -> SurveyFormat | None:
@@ -158,18 +164,16 @@ def is_unusable(bits: np.ndarray) -> np.ndarray:
     return (bits & UNUSABLE) != 0
 
 
-def kinds_and_visits(bits: np.ndarray, visits: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
+def kinds_and_visits(bits: np.ndarray, stars: np.ndarray, visits: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
     """Return the kind and the requested number of visits of targets of DESI.
 
-    A target that is both a science target with requested visits and a standard star is a science target. No visits of
-    unusable positions are requested.
+    ``bits`` and ``stars`` are the columns ``DESI_TARGET`` and ``MWS_TARGET``. A standard star without requested visits
+    as a science target is only a standard star. No visits of unusable positions are requested.
     """
     visits = np.ones(len(bits)) if visits is None else visits
-    standard, wanted = (bits & STANDARD) != 0, ((bits & SCIENCE) != 0) & (visits > 0)
-    if n := np.count_nonzero(standard & wanted):
-        text = f"{n} of {len(bits)} targets are both science targets and standard stars; they are read as science"
-        warn(f"{text} targets, and do not count as standard stars")
+    standard, wanted = ((bits | stars) & STANDARD) != 0, ((bits & SCIENCE) != 0) & (visits > 0)
+    unusable, both = is_unusable(bits), standard & wanted
     kind = np.where(standard & ~wanted, "standard", np.where((bits & SKY) != 0, "sky", "science"))
-    unusable = is_unusable(bits)
+    kind = np.where(both, "science+standard", kind) if both.any() else kind
     kind[unusable] = "science"
-    return kind, np.where(unusable, 0, np.where(kind == "science", visits, 1))
+    return kind, np.where(unusable, 0, np.where(has_role(kind, "science"), visits, 1))

@@ -7,6 +7,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._readers import is_number
+from rfpsurvey._roles import count_roles, to_kinds
 from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
@@ -45,10 +46,10 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
     category = find.labels("category")
     kind, (visits, unset) = find.labels("kind"), _visits(find)
     if kind is not None:
-        kind = np.char.lower(np.where(kind == "", "science", kind))
+        kind = to_kinds(np.where(kind == "", "science", kind), f"column {find.name_of('kind')!r} (kind)")
     elif find.format is not None and find.format.bits is not None:
-        bits = _bits(find)
-        kind, visits = kinds_and_visits(bits, visits)
+        bits = _bits(find, find.format.bits)
+        kind, visits = kinds_and_visits(bits, _bits(find, find.format.stars), visits)
         unset &= ~is_unusable(bits)
     elif category is not None:
         kind = _kind_of_category(category)
@@ -63,6 +64,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
     if mixed := _sky_coords(find):
         roles = [role for role in roles if role not in ("ra", "dec", "lon", "lat", "pmra", "pmdec")]
     meta["columns"] = find.statement(roles, [keep] if isinstance(keep, str) else keep or [], mixed) + selected
+    meta["columns"] += "" if kind is None or not (text := count_roles(kind)) else f"; {text}"
     if find.assumed:
         meta["assumed_units"] = ", ".join(f"{find.name_of(role)} in {unit}" for role, unit in find.assumed.items())
         if not (assume_units or find.format):
@@ -130,9 +132,10 @@ def _visits(find: Finder) -> tuple[np.ndarray | None, np.ndarray]:
     return np.where(unset, 0, visits), unset
 
 
-def _bits(find: Finder) -> np.ndarray:
-    """Return the bits in the column ``DESI_TARGET`` of a table of DESI."""
-    name = find.format.bits
+def _bits(find: Finder, name: str | None) -> np.ndarray:
+    """Return the bits in a column such as ``DESI_TARGET`` of a table of DESI; 0 without this column."""
+    if name is None:
+        return np.zeros(len(find.table), dtype=np.int64)
     bits = to_labels(find.table[name], f"column {name!r}")
     if bits.dtype.kind != "i":
         raise InputError(f"column {name!r} must hold integers, whose bits state the kinds of targets, got text")

@@ -13,6 +13,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._executors import map_with_progress
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_center, to_generator
 from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, as_options, name_of_best
 from rfpsurvey.catalog import Catalog, synthetic_catalog
@@ -158,7 +159,7 @@ def plan_of(tile: Tile) -> Plan:
     return Plan(
         summary["n_reachable"],
         on_kind(tile, "science"),
-        int(np.count_nonzero((table["kind"] == "science") & ~table["in_collision"])),
+        int(np.count_nonzero(has_role(table["kind"], "science") & ~table["in_collision"])),
         summary["n_colliding_pairs"],
         np.where(counted, table["in_collision"], np.nan),
         np.nan if summary["gap"] is None else summary["gap"],
@@ -168,7 +169,7 @@ def plan_of(tile: Tile) -> Plan:
 
 def on_kind(tile, kind: str) -> int:
     """Return the number of fibers with a target of the given kind."""
-    return int(np.count_nonzero(tile.table["kind"] == kind))
+    return int(np.count_nonzero(has_role(tile.table["kind"], kind)))
 
 
 @cache

@@ -1,5 +1,6 @@
 """Constraints on the plans of fields: excluded targets, obstacles, targets that take precedence, and counts."""
 
+from rfpsurvey._roles import KINDS
 from rfpsurvey.constraints._abilities import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._distribution import Distribution
@@ -7,7 +8,7 @@ from rfpsurvey.constraints._group import Group
 from rfpsurvey.constraints._keep_out import KeepOut, as_circles, circle_text
 from rfpsurvey.constraints._motion import law_of
 from rfpsurvey.constraints._required import Required, as_required, mark_required
-from rfpsurvey.constraints._requirement import KINDS, Requirement, as_requirements, check_counts, hint_of_name
+from rfpsurvey.constraints._requirement import Requirement, as_requirements, check_counts, hint_of_name
 from rfpsurvey.constraints._rule import Rule, check_unit
 from rfpsurvey.constraints._shortfall import Shortfall, sentences
 from rfpsurvey.constraints._text import BUILT_IN, answer, as_constraints, named_plugins

@@ -7,11 +7,11 @@ from numbers import Number
 
 import numpy as np
 
+from rfpsurvey._roles import KINDS, has_role
 from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.constraints._group import Group
 from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, listed, refusal, short
 
-KINDS = ("science", "standard", "sky")
 NUMBERS = r"(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))"
 FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*([^/\s][^/]*))?")
 PLAIN = re.compile(r"[^'\s@=/<>](?:[^@=/<>]*[^\s@=/<>])?")
@@ -30,7 +30,8 @@ class Requirement(Constraint):
     Parameters
     ----------
     what : str
-        A category of targets, such as ``sky_boss``, or a kind: ``science``, ``standard`` or ``sky``.
+        A category of targets, such as ``sky_boss``, or a role: ``science``, ``standard`` or ``sky``. Targets with
+        several roles, such as ``science+standard``, count toward the requirements on each of them.
     minimum : int, optional
         Smallest required number of these targets.
     maximum : int, optional
@@ -88,7 +89,7 @@ class Requirement(Constraint):
         if _holds(problem.category, self.what):
             targets = problem.category == self.what
         elif self.what in KINDS:
-            targets = problem.kind == self.what
+            targets = has_role(problem.kind, self.what)
         else:
             targets = np.zeros(len(problem.xy), dtype=bool)
         plane, untyped = problem.focal_plane, {}

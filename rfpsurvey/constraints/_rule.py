@@ -6,6 +6,7 @@ from typing import ClassVar
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._roles import has_role
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._verdict import FAIL, NOT_CHECKABLE, Verdict
 from rfpsurvey.errors import InputError, check_fiber_type, refusal
@@ -127,7 +128,7 @@ class Rule(Constraint):
 
     def _concerns(self, field: ConstraintField, what: str) -> np.ndarray:
         """Return which targets are of a kind or category (any, if it is empty) and of the fiber type of the rule."""
-        found = (field.kind == what) | (field.category == what) if what else np.ones(len(field.id), dtype=bool)
+        found = has_role(field.kind, what) | (field.category == what) if what else np.ones(len(field.id), dtype=bool)
         fiber = getattr(self, "fiber_type", "")
         # a target without a fiber type can have a fiber of any type
         return found & np.isin(field.fiber_type, ["", fiber]) if fiber else found

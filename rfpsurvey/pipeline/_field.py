@@ -86,7 +86,7 @@ class FieldPlan(NamedTuple):
     lat_rad: np.ndarray
     """Declination (ICRS) of each target in radians; ``lon_rad`` is its right ascension, from 0 to 2 pi."""
     kind: np.ndarray
-    """Kind of each target: ``science``, ``standard`` or ``sky``."""
+    """Kind of each target: ``science``, ``standard`` or ``sky``, or several roles, such as ``science+standard``."""
     carried: dict
     """Priority, category and additional columns of the targets, if the catalog has them. For blank sky, the value is
     NaN, empty text, False or -1, depending on the type of the column."""
@@ -209,8 +209,9 @@ def plan_field(
     target = allocation.target_of_positioner[positioner]
     given = target < allocation.n_given
     rows = target[given]
-    kind = np.full(len(target), "sky", dtype="U8")
-    kind[given] = "science" if targets.columns.kind is None else targets.columns.kind[rows]
+    roles = np.full(len(rows), "science") if targets.columns.kind is None else targets.columns.kind[rows]
+    kind = np.full(len(target), "sky", dtype=np.promote_types("U8", roles.dtype))
+    kind[given] = roles
     ids, vectors = targets.id[rows], targets.vectors.take(rows, axis=0)
     if not given.all():
         found, known = target[~given], (ids, vectors)

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._roles import has_role, without_science
 from rfpsurvey._units import to_visits
 from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex, move_vectors
@@ -110,20 +111,25 @@ class CatalogTargets:
         years: float = 0.0,
         margin_rad: float = 0.0,
         around_rad: float | None = None,
+        always: np.ndarray | None = None,
     ) -> FieldRows:
-        """Return the targets in a circle for which ``left`` is not 0.
+        """Return the targets in a circle for which ``left`` is not 0, or for which ``always`` is true.
 
-        ``left`` is in the order of slots or, if ``by_row`` is true, in the order of rows. If ``rest_rad`` is given, the
-        field also contains the directions of all other targets in a circle whose radius is larger by this angle, as
-        ``targets.others``. The targets are moved by their proper motions in a number of ``years``, by at most the angle
-        ``margin_rad``. If ``around_rad`` is given, ``targets.around`` contains all other targets in a circle whose
-        radius is larger by this angle.
+        ``left`` and ``always`` are in the order of slots or, if ``by_row`` is true, in the order of rows. If
+        ``rest_rad`` is given, the field also contains the directions of all other targets in a circle whose radius is
+        larger by this angle, as ``targets.others``. The targets are moved by their proper motions in a number of
+        ``years``, by at most the angle ``margin_rad``. If ``around_rad`` is given, ``targets.around`` contains all
+        other targets in a circle whose radius is larger by this angle.
         """
         left, others = self.to_slots(left) if by_row else left, None
-        slot = self._near(center, radius_rad, years, margin_rad, left if rest_rad is None else None)
+        has_all = rest_rad is not None or always is not None
+        slot = self._near(center, radius_rad, years, margin_rad, None if has_all else left)
+        if has_all:
+            usable = left[slot] > 0
+            usable |= False if always is None else (self.to_slots(always) if by_row else always)[slot]
+            slot = slot[usable]
         if rest_rad is not None:
             wide = self._near(center, radius_rad + rest_rad, years, margin_rad)
-            slot = slot[left[slot] > 0]
             others = self._vectors(wide[~np.isin(wide, slot)], years)
         around = None
         if around_rad is not None:
@@ -168,8 +174,9 @@ class FieldBuilder:
 
     A field contains the science targets with remaining visits. If there are requirements, each field also contains all
     standards and sky positions; otherwise, it contains those that are required targets. These can be used any number of
-    times. Targets of any kind whose requested number of visits is 0 are in no field, except required targets, for which
-    at least one visit is requested.
+    times. A science target that is also a standard or sky position remains in the fields as such, without the role
+    science, when it has no remaining visits. Targets of any kind whose requested number of visits is 0 are in no field,
+    except required targets, for which at least one visit is requested.
 
     Parameters
     ----------
@@ -202,6 +209,9 @@ class FieldBuilder:
         and sky positions that fields contain, 1.
     reusable : ndarray of bool or None
         Whether each target is a standard or sky position that fields contain; None if there are none.
+    lasting : ndarray of bool or None
+        Whether each target is a science target that also has another role for which fields contain it; None if there
+        are none.
     around_rad : float or None
         Angle up to which constraints use targets around a field; None if no constraint uses targets.
     spends : ndarray of bool or None
@@ -233,8 +243,8 @@ class FieldBuilder:
             raised = self.is_required & (visits == 0)
             raised = raised if dropped is None else raised & ~source.to_slots(dropped)
             visits = np.where(raised, np.uint8(1), visits)
-        kind, self.reusable, self.spends = source.by_slot("kind"), None, None
-        science = None if kind is None else kind == "science"
+        kind, self.reusable, self.spends, self.lasting = source.by_slot("kind"), None, None, None
+        science = None if kind is None else has_role(kind, "science")
         self.visits = visits
         self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
         if made is not None:
@@ -245,6 +255,8 @@ class FieldBuilder:
             if not uses_others:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.left)
+            lasting = science & (kind != "science") & (visits > 0) & uses_others
+            self.lasting = lasting if lasting.any() else None
 
     def spending(self, slot: np.ndarray) -> np.ndarray:
         """Return the targets in ``slot`` of which a visit reduces the number of remaining visits.
@@ -296,8 +308,11 @@ class FieldBuilder:
         """
         left, rest_rad = self.left if left is None else left, separation_rad(self.options, self._instrument)
         more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": self.around_rad}
-        field = self.source.field(center, radius_rad, left, **more)
+        field = self.source.field(center, radius_rad, left, always=self.lasting, **more)
         columns = field.targets.columns
+        if self.lasting is not None:
+            is_done = left[field.slot] == 0
+            columns = columns._replace(kind=np.where(is_done, without_science(columns.kind), columns.kind))
         if self.is_required is not None:
             columns = columns._replace(is_required=self.is_required[field.slot])
         return field._replace(targets=field.targets._replace(columns=columns))

@@ -179,10 +179,12 @@ def _is_assigned(status, target) -> np.ndarray:
 
 
 def _kinds(values) -> np.ndarray:
-    """Return the kinds of targets; a target that is both a science target and a standard is a standard."""
+    """Return the kinds of targets; a target that is both a science target and a standard has both roles."""
     if "FA_TYPE" in values:
         bits = values["FA_TYPE"]
         conditions = [(bits & (SKY | SUPPLEMENTAL_SKY)) != 0, (bits & STANDARD) != 0, (bits & SCIENCE) != 0]
+        if (both := ~conditions[0] & conditions[1] & conditions[2]).any():
+            return np.where(both, "science+standard", np.select(conditions, ["sky", "standard", "science"], ""))
     elif "OBJTYPE" in values:
         word = np.char.strip(values["OBJTYPE"])
         conditions = [word == "SKY", np.zeros(len(word), dtype=bool), word == "TGT"]
@@ -234,7 +236,7 @@ def _columns(plan, header, path) -> dict:
     """
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan, path)
-    bits = np.array([KINDS.get(one, SCIENCE) for one in kind.tolist()], dtype="u1")
+    bits = np.array([sum(KINDS.get(role, SCIENCE) for role in one.split("+")) for one in kind.tolist()], dtype="u1")
     words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
     common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
     common["FIBERASSIGN_X"] = -plan["x"]

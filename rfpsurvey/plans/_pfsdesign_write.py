@@ -159,7 +159,7 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
             raise InputError(f"{path}: objId must be whole numbers, got text for the identifiers of targets")
         target = to_type(np.where(has_target, target, "-1"), "i8", f"{path}: objId")
     kinds = np.where(plain["kind"] == "", "science", plain["kind"])
-    types = np.where(has_target, [TYPES.get(kind, 1) for kind in kinds.tolist()], UNASSIGNED)
+    types = np.where(has_target, [TYPES.get(kind.rpartition("+")[2], 1) for kind in kinds.tolist()], UNASSIGNED)
     spare = np.setdiff1d(pfs_engineering_fibers(), fiber[cobra - 1])
     order = np.argsort(np.concatenate([fiber[cobra - 1], spare]))
     n = len(spare)

@@ -15,6 +15,7 @@ from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
 from rfpsurvey._readers import check_is_file, sentence
+from rfpsurvey._roles import JOINED
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
@@ -330,6 +331,8 @@ def texts_of_lost(plan: QTable, names: list[str], format: str) -> list[str]:  # 
     found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
     if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
         found.append("the keywords of the header")
+    if format != "fiberassign" and np.isin(plan["kind"], JOINED).any():
+        found.append("the role science of targets that have several roles")
     return found
 
 

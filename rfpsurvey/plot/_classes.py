@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.lines import Line2D
 
+from rfpsurvey._roles import JOINED
 from rfpsurvey.errors import InputError
 from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
 from rfpsurvey.plot._axes import diamond_size, limits_of, points_per_unit
@@ -24,7 +25,7 @@ OUTCOME_COLORS = {
     Outcome.IN_NO_FIELD: "#555555",
 }
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
-KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3]}
+KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3], **dict.fromkeys(JOINED, SERIES[4])}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)
 """Sizes of the dots of unassigned targets (first tuple) and of assigned targets (second tuple). Each tuple contains the
 ratio of the size to the mean distance between dots, and the smallest and the largest size in points."""

@@ -11,6 +11,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from rfpsurvey._roles import has_role
 from rfpsurvey.allocation import Requirement
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
 from rfpsurvey.pipeline import Outcome
@@ -116,7 +117,7 @@ def plot_quality(
     _draw_fibers(fibers, result)
     outcome = codes_of(table)
     if "kind" in table.colnames:
-        science = np.asarray(table["kind"]) == "science"
+        science = has_role(np.asarray(table["kind"]), "science")
         table, outcome = table[science], outcome[science]
     _draw_histogram(histogram, table, column, np.isin(outcome, ASSIGNED))
     _draw_radius(field, table, outcome)
@@ -212,7 +213,7 @@ def _series_of(tile) -> list[Series]:
         rows = np.zeros(len(t), dtype=bool)
         for name in ("kind", "category"):
             if values[name] is not None:
-                rows |= values[name] == one.what
+                rows |= has_role(values[name], one.what)
         if one.fiber_type and values["fiber_type"] is not None:
             rows &= values["fiber_type"] == one.fiber_type
         return rows

@@ -133,7 +133,10 @@ def tile_facts(tile: "Tile") -> dict:
     for label, value in facts.items():
         found[label] = value
         if label == TILE["n_assigned"]:
-            found.update((f"    {KINDS[kind]}", counts["n_assigned"]) for kind, counts in kinds.items())
+            for kind, counts in kinds.items():
+                found[f"    {KINDS[kind]}"] = counts["n_assigned"]
+                if "n_also_science" in counts:  # these fibers cost no science target
+                    found[f"      that are science targets ({kind})"] = counts["n_also_science"]
     return found
 
 

@@ -10,6 +10,7 @@ import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey._kernels.allocation import sort_by_distance
+from rfpsurvey._roles import has_role
 from rfpsurvey.allocation import id_numbers
 from rfpsurvey.focal_plane import Reach
 from rfpsurvey.pipeline import FieldReach
@@ -37,7 +38,7 @@ class BlockProblem(NamedTuple):
         """Return the problem of the tile whose `BlockJob` is ``given``."""
         targets, pairs = given.job.field.targets, reach.allowed
         columns, n, n_sharing = targets.columns, len(targets.id), reach.instrument.focal_plane.arrays.n_sharing
-        allowed = np.ones(n, dtype=bool) if columns.kind is None else columns.kind == "science"
+        allowed = np.ones(n, dtype=bool) if columns.kind is None else has_role(columns.kind, "science")
         rank = np.zeros(n, dtype=np.int64)
         if given.job.model.options.method.uses_priorities:
             if columns.priority is not None:

@@ -75,11 +75,14 @@ def plan_alone(given: BlockJob) -> BlockDone:
     mask = np.zeros(len(given.left), dtype=np.uint32)
     observed = (done.target >= 0) & done.observed
     mask[done.target[observed]] = 1
+    spends = given.left[:, 0] > 0  # other targets are only standards or sky positions
+    mask[~spends] = 0
     good = []
     for rows in given.failed or ():
         names = given.job.model.instrument.focal_plane.id[rows]
         good.append(np.zeros_like(mask))
         good[-1][done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
+        good[-1][~spends] = 0
     lost = done.counts["n_colliding_assigned"] if given.job.model.lost_in_collision else 0
     return BlockDone(mask, np.array([[done.counts["n_assigned"], lost]]), good)
 

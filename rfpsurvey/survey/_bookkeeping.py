@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rfpsurvey._roles import has_role
 from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
 from rfpsurvey.survey._flags import DONE, EXCLUDED, LOST, REACHED, SEEN, flags_of
 from rfpsurvey.survey._work import reach_of
@@ -65,6 +66,7 @@ class Bookkeeping:
     def __init__(self, builder: FieldBuilder, *, n_passes: int, in_turn: bool, windows=None):
         self.windows = windows
         self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
+        self._lasting = builder.lasting
         priority, category = (builder.source.by_slot(name) for name in ("priority", "category"))
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
@@ -125,6 +127,9 @@ class Bookkeeping:
         self.flags[slot] |= DONE
         if self.spends is not None:
             slot = slot[self.spends[slot]]
+        if self._lasting is not None:  # without remaining visits, these targets are only standards or sky positions
+            science = has_role(field.targets.columns.kind, "science")
+            slot = slot[np.isin(slot, field.slot[science])]
         if self.windows is None:
             self.left[slot] -= 1
             complete = slot[self.left[slot] == 0]

@@ -11,6 +11,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._roles import has_role
 from rfpsurvey.catalog import Catalog, as_table
 from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short
 from rfpsurvey.tiling import Tiling
@@ -174,7 +175,7 @@ class Cadences:
             if n > MOST_VISITS:
                 raise InputError(f"a cadence of targets must have at most {MOST_VISITS} exposures, got {n} in {name!r}")
         found = rows[place.reshape(-1)]
-        return found if catalog.kind is None else np.where(catalog.kind == "science", found, -1)
+        return found if catalog.kind is None else np.where(has_role(catalog.kind, "science"), found, -1)
 
     def visits(self, catalog: Catalog) -> np.ndarray:
         """Return the number of visits of each target: the exposures of all epochs of its cadence.

@@ -278,5 +278,7 @@ def make_request(
         )
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
     builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped)
+    if joint is not None:  # the sets of a joint plan count all fibers of a target as visits
+        builder.lasting = None
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)

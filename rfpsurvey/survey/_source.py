@@ -96,16 +96,18 @@ class Partitioned:
         years: float = 0.0,
         margin_rad: float = 0.0,
         around_rad: float | None = None,
+        always: np.ndarray | None = None,
     ) -> FieldRows:
         """Return the targets in a circle that still require a visit, as in `CatalogTargets.field`.
 
-        ``left`` is the number of remaining visits of each target, in the order of slots.
+        ``left`` is the number of remaining visits of each target, in the order of slots, as ``always``.
         """
         more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": around_rad}
         found, wider = [], margin_rad + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
         for k in self._parts.near(center, radius_rad + wider).tolist():
             first, last = self._first[k : k + 2]
-            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, **more)
+            own = None if always is None else always[first:last]
+            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, always=own, **more)
             if len(field.row) or rest_rad is not None or around_rad is not None or not found:
                 found.append(field._replace(slot=field.row + first, row=field.row + first))
         if not found:

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._io import fits_bytes, table_cards, write_new_file
+from rfpsurvey._roles import has_role
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.errors import listed, number_of
 from rfpsurvey.instrument import Instrument
@@ -158,7 +159,7 @@ def work(job: Job) -> Done:
     of_kind = {"science": len(plan.target)}
     if field.targets.columns.kind is not None or model.blank is not None:
         columns["kind"] = plan.kind
-        of_kind = {kind: int((plan.kind == kind).sum()) for kind in KINDS}
+        of_kind = {kind: int(has_role(plan.kind, kind).sum()) for kind in KINDS}
     columns.update(plan.carried)
     report = plan.report
     counts = {

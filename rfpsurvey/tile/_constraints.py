@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from rfpsurvey._roles import to_kinds
 from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import Arms, CollisionReport
@@ -125,7 +126,7 @@ def find_constraints(
         if one.margin_rad and "exclusion" in one.parts and not isinstance(one, Rule):  # the verdict of a rule states it
             warn(f"the constraint '{one}' is checked only with the targets that have a fiber; the table has no others")
     kind, category = (find.labels(role) for role in ("kind", "category"))
-    kind = _kinds_of(category) if kind is None else kind
+    kind = _kinds_of(category) if kind is None else to_kinds(kind, "kind", strict=False)
     priority = find.numbers("priority")
     columns = [None if column is None else column[rows] for column in (priority, kind, category)]
     named = instrument.focal_plane.fiber_types != ("",)

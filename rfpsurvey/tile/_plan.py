@@ -13,6 +13,7 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._progress import Progress
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_center, to_generator, to_seed, to_vectors
 from rfpsurvey.allocation import (
     DEFAULT_ALLOCATOR,
@@ -242,7 +243,7 @@ def plan_tile(
 def _refuse_empty(builder: FieldBuilder, n: int) -> None:
     """Raise the error that states why a tile may use none of the n targets in its field, which are the first slots."""
     kind = builder.source.by_slot("kind")
-    science = np.ones(n, dtype=bool) if kind is None else kind[:n] == "science"
+    science = np.ones(n, dtype=bool) if kind is None else has_role(kind[:n], "science")
     what = "is a science target" + (" with requested visits" if science.any() else "")
     remedy = "requirements such as 'sky=20' also assign targets of other kinds"
     remedy = remedy if builder.visits[:n].any() else "the column of visits states 0 for all of them"

@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_lonlat
 from rfpsurvey.allocation import KINDS, find_idle_reasons
 from rfpsurvey.catalog import Catalog
@@ -111,9 +112,11 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
     free = ~plan.report.in_collision[plan.positioner]
     found = {}
     for kind in KINDS:
-        is_kind = plan.kind == kind
-        n_in_field = len(rows) * (kind == "science") if catalog.kind is None else (catalog.kind[rows] == kind).sum()
+        is_kind, kinds = has_role(plan.kind, kind), catalog.kind
+        n_in_field = len(rows) * (kind == "science") if kinds is None else has_role(kinds[rows], kind).sum()
         counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
+        if (both := is_kind & has_role(plan.kind, "science")).any() and kind != "science":
+            counts["n_also_science"] = both.sum()
         if kind == "science" or any(counts.values()):
             found[kind] = {name: int(number) for name, number in counts.items()}
     return found
@@ -135,7 +138,7 @@ def completeness_table(outcomes: QTable) -> QTable:
     """Return a table with a row for each kind, each category, and each priority class of science targets."""
     outcome = np.asarray(outcomes["outcome"])
     kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
-    science = kind == "science"
+    science = has_role(kind, "science")
     masks = {
         "n_in_field": ~science | (outcome != UNUSED),  # science targets that are not requested are not counted
         "n_reachable": (outcome != UNREACHED) & (outcome != UNUSED),
@@ -150,8 +153,8 @@ def completeness_table(outcomes: QTable) -> QTable:
         rows.append((*labels, *counts, counts[-1] / max(counts[0], 1)))
 
     for name in KINDS:
-        if name == "science" or (kind == name).any():
-            add(kind == name, kind=name)
+        if name == "science" or has_role(kind, name).any():
+            add(has_role(kind, name), kind=name)
     if "category" in outcomes.colnames:
         class_of, names = category_classes(np.asarray(outcomes["category"]), masks["n_in_field"])
         for k, name in enumerate(names if len(names) > 1 else []):

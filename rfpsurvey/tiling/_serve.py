@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import check_keywords, check_switch, check_whole
 from rfpsurvey.instrument import Instrument
@@ -170,7 +171,7 @@ class FocalPlaneFibers:
         slot, _, targets = builder.field(center, self.radius, left, years=years, margin_rad=self.margin)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
         plan = plan_field(self.instrument, plane, targets, builder.options, rng, builder.blank)
-        counts = (plan.target >= 0) & (plan.kind == "science")
+        counts = (plan.target >= 0) & has_role(plan.kind, "science")
         if self.fibers.lost_in_collision:
             counts &= ~plan.report.in_collision[plan.positioner]
         served = np.sort(plan.target[counts])

@@ -27,7 +27,20 @@ def touching_arms(plane, rng):
     return replace(plane, stuck=stuck * u.deg)
 
 
-def random_scene(seed):
+KINDS = ("science", "science", "science", "standard", "sky")
+SEVERAL = (
+    "science",
+    "science",
+    "science+standard",
+    "science+standard",
+    "standard",
+    "sky",
+    "science+sky",
+    "standard+sky",
+)
+
+
+def random_scene(seed, kinds=KINDS):
     """Return a focal plane with idle arms that touch, positions of targets, and their columns and requirements."""
     rng = np.random.default_rng(seed)
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
@@ -46,7 +59,7 @@ def random_scene(seed):
         requirements.append(rs.Requirement(str(what), low, most))
     options = {
         "priority": rng.integers(0, rng.integers(1, 4), m).astype(float),
-        "kind": rng.choice(["science", "science", "science", "standard", "sky"], m),
+        "kind": rng.choice(kinds, m),
         "category": rng.choice(["good", "poor", "odd"], m),
         "requirements": requirements,
         "required": np.flatnonzero(rng.random(m) < 0.15) if rng.random() < 0.4 else np.empty(0, dtype=int),
@@ -72,6 +85,40 @@ def test_no_objective_is_worse_than_in_the_best_plan(chunk):
         tolerance = np.append(np.zeros(len(best) - 1), 1e-6 * len(plane))
         values = oracle.values(found.target_of_positioner)
         assert (np.abs(values - best) <= tolerance).all(), (seed, values, best)
+
+
+@pytest.mark.few(1)
+@pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_SCENES // CHUNK))])
+def test_targets_count_toward_the_requirements_on_all_of_their_roles(chunk):
+    """A target had one kind: required standards were missing although science targets that are standards had fibers."""
+    n_both = 0
+    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+        plane, xy, options, _ = random_scene(seed, SEVERAL)
+        required = np.isin(np.arange(len(xy)), options["required"])
+        oracle = LexicographicProgram(plane, xy, np.zeros(len(xy)), **{**options, "required": required})
+        found = flat.allocate(plane, xy * MM, "optimal", **options)
+        best = oracle.best()
+        np.testing.assert_array_equal(oracle.values(found.target_of_positioner), best, err_msg=str(seed))
+        bounds = {level.name: level.bound for level in found.levels}
+        if "requirements" in bounds:
+            assert bounds["requirements"] <= -best[1], seed
+        for allocator in ("repair", "lamost_rule", "network_flow"):
+            other = flat.allocate(plane, xy * MM, allocator, **options)
+            fibers = other.target_of_positioner[other.target_of_positioner >= 0]
+            for one in options["requirements"]:
+                names = options["category"] if (options["category"] == one.what).any() else options["kind"]
+                n = sum(one.what in name.split("+") for name in names[fibers].tolist())
+                stated = [s.found for s in other.unmet if s.requirement == one]
+                assert (stated or [n]) == [n], (seed, allocator, one)
+                if allocator in ("repair", "network_flow") and one.maximum is not None:
+                    assert n <= one.maximum, (seed, allocator, one)
+            if allocator == "repair":
+                values = oracle.values(other.target_of_positioner)
+                assert tuple(values[:2]) <= tuple(best[:2]), seed
+        n_both += np.char.find(options["kind"][found.target_of_positioner[found.target_of_positioner >= 0]], "+").max(
+            initial=0
+        )
+    assert n_both > 0
 
 
 @pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(1, N_SCENES // CHUNK))])

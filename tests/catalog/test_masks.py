@@ -106,7 +106,7 @@ def test_masked_text_is_empty(mask):
     found = rs.Catalog(SkyCoord(RA, DEC), category=text, fiber_type=text, id=text, extra={"a": text})
     for values in (found.category, found.fiber_type, found.id, found.extra["a"]):
         assert values[:2].tolist() == ["", "sky"]
-    with pytest.raises(rs.InputError, match="unknown kind of target ''"):
+    with pytest.raises(rs.InputError, match="kind must be science, standard or sky, .* got ''"):
         rs.Catalog(SkyCoord(RA, DEC), kind=text)
 
 

@@ -126,10 +126,28 @@ def test_numbers_of_visits_that_desi_has_not_set_are_counted(name):
         rs.Catalog.from_table(table)
 
 
-def test_standard_stars_that_are_also_requested_science_targets_remain_science_targets():
-    table = desi(2, DESI_TARGET=[MWS | STD_FAINT] * 2, PRIORITY=[1, 1], NUMOBS_MORE=[1, 0])
-    with pytest.warns(RfpsurveyWarning, match="1 of 2 targets are both science targets and standard stars"):
-        assert rs.Catalog.from_table(table).kind.tolist() == ["science", "standard"]
+def test_standard_stars_that_are_also_requested_science_targets_have_both_roles():
+    """A target had one kind, so that standard stars with requested visits did not count as standard stars."""
+    table = desi(3, DESI_TARGET=[MWS | STD_FAINT] * 2 + [SKY], PRIORITY=[1, 1, 0], NUMOBS_MORE=[2, 0, -1])
+    catalog = rs.Catalog.from_table(table)
+    assert catalog.kind.tolist() == ["science+standard", "standard", "sky"]
+    assert catalog.visits.tolist() == [2, 1, 1]
+    assert catalog.meta["columns"].endswith("; roles: 1 science and standard, 1 standard, 1 sky")
+
+
+def test_standard_stars_of_the_backup_program_of_desi_are_recognized():
+    """Bits 33 to 35 of MWS_TARGET were not read, so that stars with NUMOBS_INIT = -1 were never assigned."""
+    for bit in (33, 34, 35):
+        star = [0, 1 << bit, 1 << bit, 1 << 2]
+        table = desi(4, DESI_TARGET=[MWS] * 4, MWS_TARGET=star, PRIORITY_INIT=[1] * 4, NUMOBS_INIT=[1, 1, -1, 1])
+        catalog = rs.Catalog.from_table(table)
+        assert catalog.kind.tolist() == ["science", "science+standard", "standard", "science"]
+        assert catalog.visits.tolist() == [1] * 4
+        table.rename_columns(["DESI_TARGET", "MWS_TARGET"], ["SV3_DESI_TARGET", "SV3_MWS_TARGET"])
+        assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()
+        table.rename_column("SV3_MWS_TARGET", "SCND_TARGET")  # these bits of SCND_TARGET are programs
+        table["NUMOBS_INIT"] = 1
+        assert rs.Catalog.from_table(table).kind.tolist() == ["science"] * 4
 
 
 def test_bits_must_be_integers():

@@ -55,7 +55,8 @@ class LexicographicProgram:
             add([self.column[key]], 0, 0)
         for r, one in enumerate(requirements):
             names = category if (category == one.what).any() else kind
-            held = np.flatnonzero((target >= 0) & (names == one.what)[target])
+            has = np.array([one.what in name.split("+") for name in names.tolist()], dtype=bool)
+            held = np.flatnonzero((target >= 0) & has[target])
             add(held, one.minimum, np.inf, [(n + r, 1.0)])
             if one.maximum is not None:
                 add(held, -np.inf, one.maximum)
@@ -63,7 +64,7 @@ class LexicographicProgram:
             add([self.column[i, 0], self.column[j, 0]], -np.inf, 1, [(n + m + p, -1.0)])
         self.soft = [r for r, row in enumerate(rows) if row[n:].any()]  # rows with a variable that measures a violation
         self.rows, self.low, self.high = np.array(rows), np.array(low, float), np.array(high, float)
-        science = kind == "science"
+        science = np.array(["science" in name.split("+") for name in kind.tolist()], dtype=bool)
         used = np.append(np.where(target >= 0, 1.0, 0.0), np.zeros(size - n))
 
         def counted(mask):

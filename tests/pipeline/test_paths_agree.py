@@ -29,6 +29,7 @@ COLUMNS = {
     "kind": lambda rng: rng.choice(["science", "science", "science", "standard", "sky"], N),
     "visits": lambda rng: rng.integers(0, 3, N),
     "priority": lambda rng: rng.integers(0, 3, N),
+    "roles": lambda rng: rng.choice(["science", "science", "science+standard", "science+sky", "standard", "sky"], N),
     "category": lambda rng: rng.choice(["bright", "faint"], N),
     "fiber_type": lambda rng: rng.choice(["", "", "A", "B"], N),
     "subpriority": lambda rng: rng.random(N),
@@ -73,11 +74,13 @@ CASES = {
     "keep_out": ("keep_out",),
     "constraints": ("constraints", "extra", "visits"),
     "requirements": ("requirements", "kind", "category", "visits"),
+    "roles": ("requirements", "roles", "visits", "priority"),
+    "roles and required": ("requirements", "roles", "visits", "required", "sky_separation"),
     "sky_separation": ("sky_separation", "requirements", "kind", "category", "visits"),
     "subpriorities of the catalog": ("subpriority of the catalog", "priority"),
     "subpriority": ("subpriority", "extra", "priority"),
     "moving": ("moving", "visits"),
-    "everything": (*COLUMNS, *OPTIONS, "moving"),
+    "everything": (*(column for column in COLUMNS if column != "roles"), *OPTIONS, "moving"),
 }
 
 
@@ -91,6 +94,8 @@ def make_case(name):
     if name != "everything":  # the option and the column have the same name
         given = {*given - {"subpriority"}, *(("subpriority",) if "subpriority of the catalog" in given else ())}
     columns = {column: make(rng) for column, make in COLUMNS.items() if column in given}
+    if "roles" in columns:
+        columns["kind"] = columns.pop("roles")
     catalog = rs.Catalog(where, id=np.array([f"s{k}" for k in rng.permutation(N)]), **columns)
     options = {option: make(rng, catalog) for option, make in OPTIONS.items() if option in CASES[name]}
     types = np.resize(["A+B", "A", "A+B", "B"], 19)
@@ -152,7 +157,7 @@ def check(name, allocator, monkeypatch):
     catalog, instrument, tiling, options = make_case(name)
     asked = rs.AllocationOptions(allocator, **options)
     observed, lost = by_survey(catalog, instrument, tiling, asked)
-    is_science = np.ones(N, dtype=bool) if catalog.kind is None else catalog.kind == "science"
+    is_science = np.ones(N, dtype=bool) if catalog.kind is None else np.char.find(catalog.kind, "science") >= 0
     science = set(catalog.id[is_science].tolist())
     assert len(observed & science) >= 4
     assert by_tile(catalog, instrument, tiling, asked) == (observed, lost)

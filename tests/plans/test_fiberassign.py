@@ -57,7 +57,8 @@ def test_the_common_columns_are_those_of_the_file(path):
     assert_array_equal(plan["SUBPRIORITY"], native["SUBPRIORITY"])
     assert plan["FLUX_G"].unit.to_string() == "nanomaggy"
     bits = native["FA_TYPE"]
-    kind = np.where((bits & 20) > 0, "sky", np.where(bits & 2, "standard", np.where(bits & 1, "science", "")))
+    names = {0: "", 1: "science", 2: "standard", 3: "science+standard"}
+    kind = np.where((bits & 20) > 0, "sky", [names[one] for one in (bits & 3).tolist()])
     assert_array_equal(plan["kind"], kind)
     # stuck positioners and broken fibers have no target; restricted positioners (8) can have one
     assert_array_equal(plan["assigned"], ~np.isin(native["FIBERSTATUS"], (1, 2, 4)))

@@ -35,7 +35,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const kind = own.kind ?? Array(n).fill("science");
     own.state = own.status.map((status, k) => {
       if (own.colliding_with[k]) return ["disabled", "stuck", "recorded"].includes(status) ? "struck" : "collision";
-      if (status === "assigned") return kind[k] || "science";
+      if (status === "assigned") return (kind[k] || "science").split("+")[0];
       return status === "out_of_reach" ? "reach" : status === "disabled" || status === "stuck" ? "unusable" : "idle";
     });
     own.reason = Array(n).fill(null);

@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of
@@ -39,7 +40,7 @@ def columns_of(catalog, visits: object) -> dict:
 def is_science(catalog: Catalog | PartitionedCatalog) -> np.ndarray:
     """Return whether each target is a science target."""
     kind = kinds_of(catalog)
-    return np.ones(len(catalog), dtype=bool) if kind is None else kind == "science"
+    return np.ones(len(catalog), dtype=bool) if kind is None else has_role(kind, "science")
 
 
 def kinds_of(catalog: Catalog | PartitionedCatalog) -> np.ndarray | None:

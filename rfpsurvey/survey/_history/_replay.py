@@ -10,6 +10,7 @@ import numpy as np
 
 from rfpsurvey import _io
 from rfpsurvey._readers import content_of, is_present, read_arrays, read_fits_bytes
+from rfpsurvey._roles import has_role
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.survey._flags import LOST
 from rfpsurvey.survey._history._events import (
@@ -219,7 +220,7 @@ def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndar
     """Return the rows of the science targets of an observed tile, and which visits are good and lost to a collision."""
     visits = visits[visits["target_row"] >= 0]
     if "kind" in visits.dtype.names:
-        visits = visits[visits["kind"] == "science"]
+        visits = visits[has_role(visits["kind"], "science")]
     observed = visits["observed"].astype(bool)
     good = observed & (event.state == DONE)
     if event.failed:

@@ -9,6 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey import _io
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
@@ -145,7 +146,7 @@ class SurveyState:
             catalog, dropped = apply_changes(catalog, events.target_tables, until, usual)
         columns = columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
-        made = replayed.made if columns["kind"] is None else replayed.made * (columns["kind"] == "science")
+        made = replayed.made if columns["kind"] is None else replayed.made * has_role(columns["kind"], "science")
         wanted, priority = rule.apply(
             {**columns, "observed": made, "failed": replayed.failed, "last": last_results(replayed)}
         )

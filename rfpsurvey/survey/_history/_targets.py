@@ -10,9 +10,10 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._io import check_fits_text
+from rfpsurvey._roles import to_kinds
 from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, brief, check_choice, listed, number_of, warn
+from rfpsurvey.errors import InputError, brief, listed, number_of, warn
 from rfpsurvey.survey._history._events import Events, to_date
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
@@ -77,8 +78,9 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     for one in TEXTS:
         if one in lower:
             changes[one] = np.char.strip(np.ma.filled(np.ma.asarray(table[lower[one]]).astype(str), "").astype(str))
-    for kind in np.unique(changes["kind"]).tolist() if "kind" in changes.colnames else ():
-        check_choice(kind or "science", ("science", "standard", "sky"), "kind of target")
+    if "kind" in changes.colnames:
+        given = np.asarray(changes["kind"])
+        changes["kind"] = np.where(given == "", "", to_kinds(np.where(given == "", "science", given), "kind"))
     visits = to_numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
     to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
     changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)

@@ -1,0 +1,58 @@
+"""The roles of targets: science, standard and sky; the kind of a target with several roles joins them by plus signs."""
+
+from itertools import combinations
+
+import numpy as np
+
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, short
+
+KINDS = ("science", "standard", "sky")
+JOINED = tuple("+".join(names) for n in (2, 3) for names in combinations(KINDS, n))
+"""Kinds of targets with several roles, such as ``science+standard``."""
+
+
+def to_kinds(values: object, name: str, *, strict: bool = True) -> np.ndarray:
+    """Convert text to kinds with their roles in the order of `KINDS`.
+
+    If ``strict`` is true, other text is an error; otherwise, it remains unchanged.
+    """
+    values = to_plain(values, name).astype(str)
+    kinds, rows = np.unique(values, return_inverse=True)
+    found = []
+    for kind in kinds.tolist():
+        roles = {role.strip() for role in kind.lower().split("+")}
+        if strict and not roles <= {*KINDS}:
+            raise InputError(
+                f"{name} must be science, standard or sky, or several of them joined by '+', such as "
+                f"science+standard, got {short(kind)}"
+            )
+        found.append("+".join(role for role in KINDS if role in roles) if roles <= {*KINDS} else kind)
+    found = np.array(found, dtype=str)
+    # equal catalogs have the same digest only if the length of the text remains the same
+    return found.astype(np.promote_types(found.dtype, values.dtype))[rows].reshape(values.shape)
+
+
+def has_role(kind: np.ndarray, role: str) -> np.ndarray:
+    """Return whether each target has a role; ``kind`` contains kinds as `to_kinds` returns them."""
+    found = kind == role
+    if np.asarray(kind).dtype.itemsize > 4 * len("standard"):  # other kinds are too short for several roles
+        for joined in JOINED:
+            if role in joined.split("+"):
+                found = found | (kind == joined)
+    return found
+
+
+def without_science(kind: np.ndarray) -> np.ndarray:
+    """Return kinds without the role science, for targets that have other roles."""
+    return np.char.replace(kind, "science+", "")
+
+
+def count_roles(kind: np.ndarray) -> str:
+    """Return text with the number of targets of each kind, or empty text if no target has several roles."""
+    kinds, counts = np.unique(kind, return_counts=True)
+    order = [one for one in (*JOINED, *KINDS) if one in kinds]
+    if not {*order} & {*JOINED}:
+        return ""
+    number = dict(zip(kinds.tolist(), counts.tolist(), strict=True))
+    return "roles: " + ", ".join(f"{number[one]} {one.replace('+', ' and ')}" for one in order)

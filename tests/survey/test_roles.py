@@ -1,0 +1,106 @@
+"""Surveys of targets with several roles, compared with a loop of tiles."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from living import events, instrument, tiling
+
+import rfpsurvey as rs
+
+CENTER = rs.Tiling.from_table(tiling().table).coord[0]
+REQUIREMENTS = ["standard=3", "sky=1-2"]
+pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+
+
+def targets(seed, n=70):
+    """Return targets with one or two visits, most of which have several roles."""
+    rng = np.random.default_rng(seed)
+    sky = rs.synthetic_catalog("uniform", "8h +30d", 0.35 * u.deg, n_targets=n, rng=seed)
+    kind = rng.choice(["science", "science+standard", "science+sky", "standard", "sky"], n, p=[0.4, 0.3, 0.1, 0.1, 0.1])
+    visits = rng.integers(0, 3, n)
+    return rs.Catalog(sky.coord, id=1000 + np.arange(n), kind=kind, visits=visits, priority=rng.integers(1, 3, n))
+
+
+def one_by_one(catalog, tiles, options, order):
+    """Plan the tiles with `plan_tile`; a target without remaining visits keeps its other roles."""
+    science = np.char.find(catalog.kind, "science") >= 0
+    left, found = np.where(science, catalog.visits, 0).astype(int), {}
+    for k in order:
+        others = np.char.replace(catalog.kind, "science+", "")
+        kind = np.where(left > 0, catalog.kind, others)
+        rows = np.flatnonzero((catalog.visits > 0) & ((left > 0) | (kind != "science")))
+        part = replace(catalog[rows], kind=kind[rows], visits=np.ones(len(rows)))
+        tile = rs.plan_tile(part, instrument(), tiles.coord[k], allocator=options)
+        table = tile.table[tile.table["status"] == "assigned"]
+        ids, kinds = np.asarray(table["target_id"]), np.asarray(table["kind"]).astype(str)
+        found[k] = sorted(zip(ids.tolist(), kinds.tolist(), strict=True)), tile.summary["unmet"]
+        good = ~np.asarray(table["in_collision"]) & (np.char.find(kinds, "science") >= 0)
+        left[ids[good] - 1000] -= 1
+    return found, np.where(science, catalog.visits, 0) - left
+
+
+@pytest.mark.few(3)
+@pytest.mark.parametrize("allocator", ["repair", "optimal", "lamost_rule"])
+@pytest.mark.parametrize("way", ["memory", "folder", "partitioned"])
+@pytest.mark.parametrize("seed", range(4))
+def test_targets_without_remaining_visits_keep_their_other_roles(seed, way, allocator, tmp_path):
+    """A standard that was also a science target could not be used as a standard after its visits."""
+    catalog, tiles = targets(seed), rs.Tiling.from_table(tiling(seed, n=8).table)
+    options = rs.AllocationOptions(allocator, requirements=REQUIREMENTS)
+    given = rs.catalog.partition_catalog(catalog, tmp_path / "parts", order=3) if way == "partitioned" else catalog
+    folder = tmp_path / "survey" if way == "folder" else None
+    survey = rs.plan_survey(given, instrument(), tiles, allocator=options, folder=folder)
+    order = np.lexsort((np.arange(len(tiles)), survey.tiles["round"]))
+    plans, observed = one_by_one(catalog, tiles, options, order)
+    n_after = 0
+    for k, name in enumerate(survey.tiles["tile"]):
+        visits = survey.tile(name)
+        kinds = np.asarray(visits["kind"]).astype(str)
+        assert sorted(zip(visits["target_id"].tolist(), kinds.tolist(), strict=True)) == plans[k][0]
+        for kind in ("science", "standard", "sky"):
+            assert survey.tiles[f"n_{kind}"][k] == (np.char.find(kinds, kind) >= 0).sum()
+        whole = catalog.kind[np.asarray(visits["target_row"])]
+        n_after += (whole != kinds).sum()
+    assert n_after > 0
+    rows = np.searchsorted(catalog.id, np.asarray(survey.outcomes["target_id"]))
+    assert np.array_equal(survey.outcomes["observed"], observed[rows])
+    assert survey.summary["n_visits_observed"] == observed.sum()
+    if folder is not None:
+        again = rs.plan_survey(given, instrument(), tiles, allocator=options, folder=folder, resume=True)
+        assert again.summary == survey.summary
+
+
+def test_only_visits_as_a_science_target_are_recorded(tmp_path):
+    catalog, tiles = targets(1), rs.Tiling.from_table(tiling(1, n=8).table)
+    options = rs.AllocationOptions("repair", requirements=REQUIREMENTS)
+    survey = rs.plan_survey(catalog, instrument(), tiles, allocator=options, folder=tmp_path / "survey")
+    survey.record(events(tile=survey.tiles["tile"].tolist(), state="done"))
+    state = rs.survey.SurveyState.read(tmp_path / "survey", catalog)
+    assert np.array_equal(state.observed, survey.outcomes["observed"])
+    rest = rs.plan_survey(catalog, instrument(), tiles, allocator=options, visits=state)
+    assert np.array_equal(rest.outcomes["observed"], survey.outcomes["observed"])
+
+
+@pytest.mark.parametrize("allocator", ["repair", "nearest"])
+def test_selection_probabilities_count_visits_as_a_science_target(allocator):
+    catalog, tiles = targets(2), rs.Tiling.from_table(tiling(2, n=8).table)
+    options = rs.AllocationOptions(allocator, requirements=REQUIREMENTS)
+    found = rs.selection_probabilities(catalog, instrument(), tiles, 3, allocator=options, rng=0)
+    for r, seed in enumerate(found.realizations["seed"].tolist()):
+        survey = rs.plan_survey(catalog, instrument(), tiles, allocator=replace(options, subpriority=seed), rng=seed)
+        observed = catalog.id[np.asarray(survey.outcomes["observed"]) > 0]
+        assert set(found.target_id[found.observed_in(r)].tolist()) == set(observed.tolist())
+
+
+def test_joint_plans_make_no_more_visits_than_requested():
+    """In a joint plan, a target with several roles has a fiber at most as often as its visits are requested."""
+    catalog, tiles = targets(3), rs.Tiling.from_table(tiling(3, n=8).table)
+    options = rs.JointOptions(allocator=rs.AllocationOptions("optimal", requirements=REQUIREMENTS))
+    survey = rs.plan_survey(catalog, instrument(), tiles, allocator=options)
+    rows = np.concatenate([np.asarray(visits["target_row"]) for visits in survey])
+    times = np.bincount(rows, minlength=len(catalog))
+    several = np.char.find(catalog.kind, "science") >= 0
+    assert (times <= catalog.visits)[several].all()
+    assert survey.summary["n_visits_observed"] == times[several].sum()
