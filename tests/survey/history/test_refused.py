@@ -109,7 +109,7 @@ TARGETS = [
     (events(target=1001, visits="x"), "visits must be numbers"),
     (events(target=1001, priority=np.inf), "priority must be finite numbers, got inf"),
     (Table({"target": [1001], "priority": [1.0] * u.mm}), "priority must have the unit of a plain number, got mm"),
-    (events(target=1001, kind="star"), "unknown kind of target 'star'"),
+    (events(target=1001, kind="star"), "kind must be science, standard or sky, .* got 'star'"),
     (events(target=1001, state="done"), "the state of a target must be dropped, planned or added, got 'done'"),
     (events(target=[1001, 1001], visits=2), "must have one row for each target, got 2 rows for 1001"),
 ]
