@@ -25,6 +25,9 @@ ERROR_OF_ONE, ERROR = 1e-7, 1e-6
 # programs, local moves find better plans.
 NOT_USED = ("rins", "rens", "root_reduced_cost")
 
+# States of a program after which the bound of HiGHS is valid; versions of HiGHS differ in the names of interrupts.
+ENDS = ("kOptimal", "kModelEmpty", "kTimeLimit", "kSolutionLimit", "kIterationLimit", "kInterrupt", "kHighsInterrupt")
+
 _abandoned: list[threading.Thread] = []
 
 
@@ -42,7 +45,9 @@ def maximize(
 ):
     """Return the variables that maximize a goal (a weighted sum of the variables), and an upper bound of the goal.
 
-    The variables are None if no solution is found before the deadline.
+    The variables are None if no solution is found before the deadline. With presolve, HiGHS fails for some programs, or
+    finds them infeasible, although they have solutions; these programs are solved again without presolve. If HiGHS
+    fails again, there is neither a solution nor a bound.
 
     Parameters
     ----------
@@ -76,14 +81,16 @@ def maximize(
         solver.setSolution(len(first), np.arange(len(first), dtype=np.int32), first)
     if not _run(solver, deadline):
         return None, np.inf
-    info = solver.getInfo()
+    from highspy import HighsModelStatus as Status
+
+    status, info = solver.getModelStatus(), solver.getInfo()
+    if status not in [getattr(Status, name, None) for name in ENDS]:
+        options = {"integral": integral, "gap": gap, "presolve": False, "first": first, "nodes": nodes}
+        return maximize(rows, goal, most, deadline, **options) if presolve else (None, np.inf)
     has_solution = info.primal_solution_status == 2
     x = np.array(solver.getSolution().col_value) if has_solution else None
     if not integral:
-        from highspy import HighsModelStatus
-
-        done = solver.getModelStatus() == HighsModelStatus.kOptimal
-        return (x, -info.objective_function_value) if done else (None, np.inf)
+        return (x, -info.objective_function_value) if status == Status.kOptimal else (None, np.inf)
     bound = -info.mip_dual_bound
     return None if x is None else np.round(x), bound if np.isfinite(bound) else np.inf
 

@@ -187,13 +187,12 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
         shape=(len(cells.supply) + len(centers), len(cell)),
     )
     capacity = np.concatenate([cells.supply, np.full(len(centers), float(problem.fibers))])
-    found = linprog(
-        cost - UNASSIGNED,
-        A_ub=limits,
-        b_ub=capacity,
-        bounds=np.column_stack([0 * ones, cells.count[cell]]),
-        method="highs",
-    )
+    most = np.column_stack([0 * ones, cells.count[cell]])
+    for presolve in (True, False):  # presolve can find programs infeasible that have solutions, as this one always has
+        options = {"presolve": presolve}
+        found = linprog(cost - UNASSIGNED, A_ub=limits, b_ub=capacity, bounds=most, method="highs", options=options)
+        if found.status == 0:
+            break
     amount = found.x
     used = amount > 1e-6
     return cell[used], tile[used], amount[used], found.fun + UNASSIGNED * cells.supply.sum()

@@ -1,7 +1,5 @@
 """``optimal`` with subpriorities and touching idle arms, compared with an independent integer program."""
 
-from dataclasses import replace
-
 import astropy.units as u
 import numpy as np
 import pytest
@@ -9,62 +7,11 @@ import pytest
 import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
+from scenes import SEVERAL, random_scene
 
 MM = u.mm
 N_SCENES, CHUNK = 300, 20
 EXHAUSTIVE = pytest.mark.exhaustive
-
-
-def touching_arms(plane, rng):
-    """Return the focal plane with one or two pairs of stuck positioners whose arms point at each other."""
-    stuck = np.full((len(plane), 2), np.nan)
-    pairs = plane.neighbor_pairs()
-    for i, j in pairs[rng.choice(len(pairs), int(rng.integers(1, 3)), replace=False)]:
-        dx, dy = plane.arrays.xy[j] - plane.arrays.xy[i]
-        angle = np.degrees(np.arctan2(dy, dx))
-        if np.isnan(stuck[[i, j]]).all():
-            stuck[i], stuck[j] = [angle, 0], [angle + 180, 0]
-    return replace(plane, stuck=stuck * u.deg)
-
-
-KINDS = ("science", "science", "science", "standard", "sky")
-SEVERAL = (
-    "science",
-    "science",
-    "science+standard",
-    "science+standard",
-    "standard",
-    "sky",
-    "science+sky",
-    "standard+sky",
-)
-
-
-def random_scene(seed, kinds=KINDS):
-    """Return a focal plane with idle arms that touch, positions of targets, and their columns and requirements."""
-    rng = np.random.default_rng(seed)
-    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    if seed % 3:
-        plane = touching_arms(rs.FocalPlane.hexagonal(unit, rings=2, pitch=25.6 * MM), rng)
-    else:  # parked arms touch each other, so that a plan can avoid their collisions
-        places = np.column_stack([12.2 * np.arange(6), rng.normal(0, 0.5, 6)])
-        plane = rs.FocalPlane(places * MM, unit)
-    m = int(rng.integers(1, 40))
-    xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
-    names = rng.choice(["sky", "standard", "good", "poor"], rng.integers(0, 3), replace=False)
-    requirements = []
-    for what in names:
-        low = int(rng.integers(0, 6))
-        most = None if rng.random() < 0.6 else low + int(rng.integers(0, 3))
-        requirements.append(rs.Requirement(str(what), low, most))
-    options = {
-        "priority": rng.integers(0, rng.integers(1, 4), m).astype(float),
-        "kind": rng.choice(kinds, m),
-        "category": rng.choice(["good", "poor", "odd"], m),
-        "requirements": requirements,
-        "required": np.flatnonzero(rng.random(m) < 0.15) if rng.random() < 0.4 else np.empty(0, dtype=int),
-    }
-    return plane, xy, options, rng
 
 
 @pytest.mark.few(1)
