@@ -48,6 +48,11 @@ def without_science(kind: np.ndarray) -> np.ndarray:
     return np.char.replace(kind, "science+", "")
 
 
+def without_role(kind: np.ndarray, role: str, where: np.ndarray) -> np.ndarray:
+    """Return kinds in which the marked targets, which have other roles before this one, do not have a role."""
+    return np.where(where, np.char.replace(kind, f"+{role}", ""), kind)
+
+
 def count_roles(kind: np.ndarray) -> str:
     """Return text with the number of targets of each kind, or empty text if no target has several roles."""
     kinds, counts = np.unique(kind, return_counts=True)

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._roles import KINDS, has_role, without_role
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import Arms, CollisionReport, place_arms
@@ -34,6 +35,11 @@ class Applied:
     """Function that returns which sky positions must not be observed, from their positions (mm) and fiber types."""
     constraints: tuple[Constraint, ...]
     field: ConstraintField
+    kind: np.ndarray | None
+    """Kind of each target, without the roles for which a rule excludes it; None if there are no kinds.
+
+    A science target that is outside the magnitude limits of standards, for example, is only a science target.
+    """
     obstacle_of: np.ndarray
     """Index of the constraint that added each of the last obstacles of the instrument."""
 
@@ -116,10 +122,13 @@ def apply_constraints(
     """
     constraints = tuple(one for one in options.all_constraints if one.uses_field)
     field = constraint_field(instrument, projection, targets, xy) if constraints else None
-    circles, excluded = [np.empty((0, 3))], None
+    circles, excluded, given = [np.empty((0, 3))], None, field
     for one in constraints:
-        circles.append(circles_of(one, field) if "obstacles" in one.parts else circles[0])
-        wrong = excluded_by(one, field)
+        circles.append(circles_of(one, given) if "obstacles" in one.parts else circles[0])
+        wrong, what = excluded_by(one, given), getattr(one, "what", "") if isinstance(one, Rule) else ""
+        if wrong is not None and what in KINDS[1:]:
+            only = wrong & has_role(given.kind, "science") & (given.category != what)
+            field, wrong = replace(field, kind=without_role(field.kind, what, only)), wrong & ~only
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
     sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)
     if len(circles):
@@ -141,6 +150,7 @@ def apply_constraints(
         excludes_sky if any("exclusion" in one.parts for one in constraints) else None,
         constraints,
         field,
+        targets.columns.kind if targets.columns.kind is None or field is None else field.kind[: len(targets.id)],
         np.repeat(np.arange(len(sizes)), sizes),
     )
 

@@ -198,7 +198,7 @@ def plan_field(
         The plan.
     """
     applied = apply_constraints(instrument, projection, options, targets)
-    instrument = applied.instrument
+    instrument, targets = applied.instrument, targets._replace(columns=targets.columns._replace(kind=applied.kind))
     allocation = _assign(applied, projection, targets, options, rng, tell)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)

@@ -137,4 +137,5 @@ def find_constraints(
     lon, lat = np.deg2rad(sky_deg)
     vectors = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
     targets = FieldTargets(vectors, ids, columns, None, extra)
-    return ScoredConstraints(options, apply_constraints(instrument, projection, options, targets, xy), columns, xy)
+    applied = apply_constraints(instrument, projection, options, targets, xy)
+    return ScoredConstraints(options, applied, columns._replace(kind=applied.kind), xy)

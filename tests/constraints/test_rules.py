@@ -366,3 +366,31 @@ def test_an_unknown_kind_of_magnitude_limits_has_a_hint(sky, small):
         tile = plan(sky, small, ["magnitude mag 0 30 standards"])
     assert tile.rules["verdict"].tolist() == ["not checkable"]
     assert tile.rules["note"][0] == "no fiber has such a target; did you mean 'standard'?"
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal", "lamost_rule"])
+def test_limits_of_a_role_take_only_this_role_from_a_science_target(sky, small, allocator):
+    """A science target that is too faint as a standard star is only a science target."""
+    rng = np.random.default_rng(5)
+    kind = rng.choice(["science", "science+standard", "science+standard", "standard"], len(sky))
+    catalog = rs.Catalog(sky.coord, id=sky.id, kind=kind, extra=sky.extra)
+    mag = catalog.arrays.extra["mag"]
+    limits, needs = "magnitude mag 9.5 14 standard", "standard=20"
+    tile = plan(catalog, small, [limits, needs], allocator)
+    table = tile.table[tile.table["status"] == "assigned"]
+    rows, kinds = np.asarray(table["target_id"]), np.asarray(table["kind"]).astype(str)
+    fits = ~((mag <= 9.5) | (mag >= 14)) | np.isin(mag, MISSING[1:])  # targets without a magnitude have no limits
+    expected = np.where(fits, kind, np.char.replace(kind, "+standard", ""))
+    assert kinds.tolist() == expected[rows].tolist()
+    assert not ((kind == "standard") & ~fits)[rows].any()
+    assert (kinds != kind[rows]).any()  # some science targets are too faint or too bright as standards
+    n = int(np.sum(np.char.find(kinds, "standard") >= 0))
+    assert tile.summary["kinds"]["standard"]["n_assigned"] == n
+    assert not tile.summary["unmet"]
+    assert {one["verdict"] for one in tile.rules} == {"pass"}
+    score = rs.score_tile(tile.table, small, constraints=[limits, needs])
+    assert {one["verdict"] for one in score.rules} == {"pass"}
+    plain = plan(
+        catalog, small, ["magnitude mag 9.5 14 science"], allocator
+    )  # of a rule on science, the target is excluded
+    assert fits[with_fiber(plain, catalog)].all()
