@@ -39,7 +39,8 @@ class TileStates:
 
     def __init__(self, events: Iterable[TileEvent]):
         self._attempts: dict[int, dict[tuple, TileEvent]] = {}
-        self.dropped: set[int] = set()
+        self.dropped: dict[int, str] = {}
+        """Rows of dropped tiles, with the date; without a date, the last date that was recorded before."""
         self.added: dict[int, TileEvent] = {}
         # date of each observation; for observations without a date, the last date that was recorded before
         self._order: dict[tuple, str] = {}
@@ -48,13 +49,19 @@ class TileStates:
             self.add(event)
 
     def add(self, event: TileEvent) -> None:
-        """Add an event, which replaces an earlier event of the same observation."""
+        """Add an event, which replaces an earlier event of the same observation.
+
+        A dropped tile remains dropped after a report on an earlier observation, or on an observation until this date.
+        """
+        if event.state == DROPPED:
+            if not event.date or all(one.date <= event.date for one in self.of(event.row)):
+                self.dropped[event.row] = event.date or self._latest
+            return
+        is_late = event.observation in self._order or "" < event.date <= self.dropped.get(event.row, "")
+        if event.state in (ADDED, PLANNED) or not is_late:
+            self.dropped.pop(event.row, None)
         if event.state == ADDED:
             self.added[event.row] = event
-            return
-        self.dropped.discard(event.row)
-        if event.state == DROPPED:
-            self.dropped.add(event.row)
         elif event.state == PLANNED:
             for key in self._attempts.pop(event.row, ()):
                 del self._order[key]

@@ -332,7 +332,8 @@ class SurveyState:
             raise InputError(
                 f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
             )
-        tiling = add_tiles(tiling, self.states.added) if self.states.added else tiling
+        if self.states.added:
+            tiling = add_tiles(tiling, self.states.added, TileStates(self.events.of_tiles()).dropped)
         names = np.asarray(tiling.table["tile"]).astype(str).tolist()
         for event in self.events.of_tiles():
             if names[event.row] != event.tile:

@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from living import N, content, differences, events, instrument, part, sha, targets, tiling
-from naive_history import NaiveHistory
+from naive_history import NaiveHistory, statements
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, VisitRule
@@ -26,6 +26,11 @@ FRACTIONS = {"done": 1.0, "partly": 0.5, "bad": 0.0}
 
 class InterruptedPlanError(Exception):
     pass
+
+
+def date_of(day):
+    """Return the date of a day, which is counted from the beginning of the year."""
+    return f"2026-01-{day:02d}" if day < 32 else f"2026-02-{day - 31:02d}"
 
 
 class History(RuleBasedStateMachine):
@@ -43,6 +48,7 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan()
         self.naive = NaiveHistory()
         self.day, self.planned_day = 1, 0
+        self.tables, self.applied = [], set()
         self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
         self.unplanned, self.frozen = set(), {}
         self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
@@ -85,9 +91,8 @@ class History(RuleBasedStateMachine):
     )
     def observe(self, tile, state, late, fails, by_target, by_fraction, order):
         name, self.day = self.names[tile % len(self.names)], self.day + 1
-        day = self.planned_day + 1 if late else self.day
-        date = f"2026-01-{day:02d}" if day < 32 else f"2026-02-{day - 31:02d}"
-        self.observe_on(name, date, day > self.planned_day, state, fails, by_target, by_fraction, order)
+        date = date_of(self.planned_day + 1 if late else self.day)
+        self.observe_on(name, date, state, fails, by_target, by_fraction, order)
 
     @rule(
         number=st.integers(0, 20),
@@ -100,36 +105,59 @@ class History(RuleBasedStateMachine):
         known = self.naive.observations()
         if known:
             one = known[number % len(known)]
-            self.observe_on(one.tile, one.date, True, state, fails, False, False, order)
+            self.observe_on(one.tile, one.date, state, fails, False, False, order, good=fails[1:])
 
-    def observe_on(self, name, date, is_later, state, fails, by_target, by_fraction, order):
-        """Record an observation, which is correct if it is later than the plan or corrects another one."""
-        row = self.names.index(name)
-        before = self.naive.of(name)
-        old = [one for one in before if one.date == date]
-        kept = self.naive.state_of(name) == "partly"
-        done = [one for one in before if one.state == "done" and one.date != date]
-        if old:
-            accepted = not (state == "done" and done)
-        else:
-            accepted = not done and name not in self.unplanned and (is_later or kept)
-        plan = old[0].plan if old else b"" if name in self.unplanned else part(self.folder, row)
+    @rule(number=st.integers(0, 40), order=st.randoms(use_true_random=False))
+    def record_again(self, number, order):
+        """Record an old table once more, also after it was corrected, canceled, or planned again."""
+        if self.tables:
+            name, date, state, rows, by_fraction, failed, good = self.tables[number % len(self.tables)]
+            rows = [*rows]
+            order.shuffle(rows)
+            self.send(name, date, state, rows, by_fraction, failed, good)
+
+    def plan_for(self, name, date):
+        """Return the plan with which a tile was observed on a date; empty if the tile has no plan."""
+        old = [one for one in self.naive.of(name) if one.date == date]
+        return old[0].plan if old else b"" if name in self.unplanned else part(self.folder, self.names.index(name))
+
+    def observe_on(self, name, date, state, fails, by_target, by_fraction, order, good=()):
+        """Record an observation; of the visits that failed, some are recorded as good instead."""
         rows = [{"tile": name, "date": date}]
         rows[0].update({"fraction": FRACTIONS[state]} if by_fraction else {"state": state})
-        rows_fraction = FRACTIONS[state] if by_fraction else 1.0
-        failed = set()
+        plan, failed = self.plan_for(name, date), {}
         if plan:
             visits = rs._io.read_fits_bytes(plan, "plan")[0]
             for k in {k % len(visits) for k in fails} if len(visits) else ():
-                failed.add(str(visits["positioner"][k]))
+                is_good = k in {k % len(visits) for k in good}
+                failed[str(visits["positioner"][k])] = is_good
                 key = "target" if by_target else "positioner"
-                rows.append(
-                    {"tile": name, "date": date, key: str(visits["target_id" if by_target else "positioner"][k])}
-                )
+                value = str(visits["target_id" if by_target else "positioner"][k])
+                rows.append({"tile": name, "date": date, key: value, **({"good": is_good} if good else {})})
         order.shuffle(rows)
-        columns = {key: [one.get(key, 1.0 if key == "fraction" else "") for one in rows] for one in rows for key in one}
+        names = [one for one, is_good in failed.items() if not is_good]
+        self.send(name, date, state, rows, by_fraction, names, [*{*failed} - {*names}])
+
+    def send(self, name, date, state, rows, by_fraction, failed, good):
+        """Record rows, which are correct if the observation is later than the plan, or corrects or repeats another."""
+        fraction = FRACTIONS[state] if by_fraction else 1.0
+        before, plan = self.naive.of(name), self.plan_for(name, date)
+        done = [one for one in before if one.state == "done" and one.date != date]
+        if plan and {*failed, *good} - {*rs._io.read_fits_bytes(plan, "plan")[0]["positioner"].astype(str)}:
+            accepted = False  # the tile has another plan than when the table was written
+        elif any(one.date == date for one in before):
+            known = self.naive.is_known(name, date, statements(state, failed, fraction, good))
+            accepted = known or not (state == "done" and done)
+        else:
+            applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
+            is_later = date > max(applied, default="")
+            used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
+            accepted = bool(plan) and not done and (is_later or used)
+        defaults = {"fraction": 1.0, "good": True}
+        columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
-            self.naive.observe(name, date, state, plan, failed, rows_fraction)
+            self.naive.observe(name, date, state, plan, failed, fraction, good)
+            self.tables.append((name, date, state, rows, by_fraction, failed, good))
 
     @rule(tile=st.integers(0, 9))
     def cancel(self, tile):
@@ -154,6 +182,7 @@ class History(RuleBasedStateMachine):
         table["pass"] = number
         if self.record(table, not self.naive.of(name)):
             self.unplanned.add(name)
+            self.naive.add(name)
             if is_new:
                 self.names.append(name)
 
@@ -199,6 +228,7 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan(state)
         self.unplanned = {name for name in self.names if self.naive.state_of(name) == "dropped"}
         self.planned_day = self.day
+        self.applied = {(one.tile, one.date, one.plan) for word, one in self.naive.log if word == "observe"}
         self.check_plan()
 
     @rule()
