@@ -1,18 +1,21 @@
 """The folder of a survey, with a file for the result of each tile, which is called the *part* of this tile."""
 
+import hashlib
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 from astropy.table import QTable
 
-from rfpsurvey._folder import RequestFolder, read_verified
+from rfpsurvey._folder import INDEX, RequestFolder, read_verified
 from rfpsurvey._io import write_bytes, write_table, written
+from rfpsurvey._readers import content_of, is_present
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
 OTHERS = (JOINT, "joint/state.npz")
+MOST_FILE = 2**28
 EVENTS, PLANS = "events", "events/plans"
 """Folders of recorded events, and of copies of plans with which tiles were observed."""
 
@@ -83,15 +86,17 @@ class Folder(RequestFolder):
 
     def _read(self):
         super()._read()
+        if not self._known and (self.path / TABLES[0]).is_file():
+            warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
         if not self._is_new_state:
             return
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
         for event in self._state.events.of_tiles():
             name = part_name(event.row)
-            known = self._known.get(name)
-            if known and known[-1][1] == event.plan and (name not in kept or kept[name].plan != event.plan):
-                self._copy(name, kept_name(event.plan))
+            # the index, which can be damaged, does not determine which plans are kept
+            if event.plan and (name not in kept or kept[name].plan != event.plan):
+                self._copy(name, event.plan)
         stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
         for name in stale:
             del self._known[name]
@@ -99,11 +104,12 @@ class Folder(RequestFolder):
         for name in {*stale, *TABLES, *OTHERS}:  # new files are written faster than files are replaced
             (self.path / name).unlink(missing_ok=True)
 
-    def _copy(self, name: str, copy: str) -> None:
+    def _copy(self, name: str, digest: str) -> None:
         """Keep a plan with which a tile was observed, because the file of the tile will be replaced."""
-        if not (self.path / copy).exists():
-            (self.path / copy).parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(self.path / copy, read_verified(self.path, name, self._known), sync=True)
+        copy = self.path / kept_name(digest)
+        if verified(copy, digest) is None and (content := verified(self.path / name, digest)) is not None:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(copy, content, sync=True)
 
     def _belongs(self, name: str) -> bool:
         stem = Path(name).stem
@@ -113,15 +119,11 @@ class Folder(RequestFolder):
         """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
         return self._content(part_name(tile), partial(self.distrust, tile))
 
-    def checksum(self, tile: int) -> str | None:
-        """Return the checksum of the stored result of the tile in row ``tile`` of the tiling; None if there is none."""
-        known = self._known.get(part_name(tile))
-        return known[-1][1] if known else None
-
-    def has_part(self, tile: int) -> bool:
-        """Return whether the file of a tile exists, and has the size in the index."""
-        path, known = self.path / part_name(tile), self._known.get(part_name(tile))
-        return known is not None and path.is_file() and path.stat().st_size == known[-1][0]
+    def has_part(self, tile: int, digest: str) -> bool:
+        """Return whether the file of a tile has a checksum, which is also that in the index."""
+        name = part_name(tile)
+        known = self._known.get(name, [(0, "")])[-1][1]
+        return known == digest and verified(self.path / name, digest) is not None
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
@@ -178,3 +180,11 @@ def _instrument_of(request: dict) -> str:
 def kept_name(digest: str) -> str:
     """Return the name of the copy of a plan with which a tile was observed, and which the survey later replaced."""
     return f"{PLANS}/{digest}.fits"
+
+
+def verified(path: Path, digest: str) -> bytes | None:
+    """Return the content of a file, or None if it does not exist or has another checksum."""
+    if not is_present(path):
+        return None
+    content = content_of(path, most=MOST_FILE)
+    return content if hashlib.sha256(content).hexdigest() == digest else None

@@ -21,7 +21,7 @@ from rfpsurvey import _io
 from rfpsurvey._folder import MOST_REQUEST
 from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes, sentence
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name
+from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name, verified
 
 MOST = 2**28
 VERSION = 1
@@ -128,7 +128,7 @@ class Events:
 
     def _read_targets(self, name: str) -> QTable:
         path = self.folder / EVENTS / name
-        content = _verified(path, name.partition("-")[2].removesuffix(".fits"))
+        content = verified(path, name.partition("-")[2].removesuffix(".fits"))
         if content is None:
             raise InputError(f"{path} is missing or damaged (its checksum differs from the checksum in its name)")
         rows, _ = read_fits_bytes(content, path)
@@ -136,12 +136,13 @@ class Events:
 
     def plan(self, row: int, digest: str) -> bytes:
         """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
-        content = _verified(self.folder / part_name(row), digest)
-        content = _verified(self.folder / kept_name(digest), digest) if content is None else content
+        content = verified(self.folder / part_name(row), digest)
+        content = verified(self.folder / kept_name(digest), digest) if content is None else content
         if content is None:
             raise InputError(
                 f"{self.folder / part_name(row)} must be the plan with which the tile in row {row} was observed, got "
-                "another or a damaged file, and there is no copy of the plan"
+                "another or a damaged file, and there is no copy of the plan; restore the file, or record the state "
+                "planned for this tile, which cancels its observations"
             )
         return content
 
@@ -238,14 +239,6 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
     except (InputError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({sentence(error)})") from None
     return file
-
-
-def _verified(path: Path, digest: str) -> bytes | None:
-    """Return the content of a file, or None if it does not exist or has another checksum."""
-    if not is_present(path):
-        return None
-    content = content_of(path, most=MOST)
-    return content if hashlib.sha256(content).hexdigest() == digest else None
 
 
 def _by_reason(failed: dict[str, str] | None) -> dict[str, list[str]] | None:

@@ -150,11 +150,11 @@ class Replay:
 
     def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
         """Add an observation, and the visits of its plan."""
-        number = len(self.attempts)
+        number, content = len(self.attempts), events.plan(event.row, event.plan)
         self.attempts.append(event)
         if event.state != DONE:  # nothing was observed, or the observation will be continued
             return
-        visits, cards = read_fits_bytes(events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+        visits, cards = read_fits_bytes(content, f"the plan of tile {event.tile}")
         _check_ids(event, visits, ids)
         target, good, lost = visits_of(event, visits)
         self.made[target[good]] += self.made[target[good]] < MOST_VISITS
@@ -203,6 +203,8 @@ def replay(events: Events, states: TileStates, ids: np.ndarray) -> Replay:
     attempts, n_targets = states.attempts, len(ids)
     found = _read_checkpoint(events.folder, attempts, n_targets) or Replay(n_targets)
     found.extend(n_targets)
+    for event in attempts[: len(found.attempts)]:
+        events.plan(event.row, event.plan)  # the checkpoint does not depend on the files, which can be damaged
     for event in attempts[len(found.attempts) :]:
         found.add(event, events, ids)
     return found
