@@ -35,22 +35,20 @@ class Folder(RequestFolder):
         Whether to continue an unfinished survey.
     state : SurveyState, optional
         State of the survey that is planned; plans of tiles that it does not keep are planned again.
-    first_catalog : callable, optional
-        Function that returns the entry ``catalog`` of the request of the first plan.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None, first_catalog=None):
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None):
         super().__init__(path, request, resume=resume)
-        self._first_catalog = first_catalog
         self._n, self._state, self._is_new_state = n_tiles, state, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
+        before = {"given": self._request["given"], **before}  # earlier versions did not write it
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
                 raise InputError(
@@ -66,8 +64,8 @@ class Folder(RequestFolder):
             {k: v for k, v in one.items() if k != "visits"} for one in (before.get("first", {}), now["first"])
         )
         if not first:
-            first = {name: before.get(name) for name in ("catalog", "passes", "tiles")}
-            now_first["catalog"] = self._first_catalog(first["catalog"])
+            first = {name: before.get(name) for name in ("passes", "tiles")}
+            del now_first["catalog"]  # the state was computed for the catalog of the first plan
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         same = {name: value for name, value in now.items() if name not in changed}

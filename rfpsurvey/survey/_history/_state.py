@@ -12,7 +12,14 @@ from rfpsurvey import _io
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same, is_science
+from rfpsurvey.survey._history._catalogs import (
+    check_first_catalog,
+    columns_of,
+    digest_of,
+    in_memory,
+    is_same,
+    is_science,
+)
 from rfpsurvey.survey._history._events import (
     DONE,
     DROPPED,
@@ -128,6 +135,7 @@ class SurveyState:
             raise InputError(f"{folder} holds a survey with cadences, which cannot be continued from what was observed")
         if visits is None and not rule.record:
             _check_visits(_io.to_path(folder), catalog)
+        check_first_catalog(_io.to_path(folder), catalog, visits, rule)
         until = None if until is None else to_date(until)
         return cls._of(read_events(_io.to_path(folder)), (catalog, visits), rule, until)
 

@@ -102,7 +102,10 @@ def test_rows_of_the_catalog(case, planned, tmp_path, rng):
     (survey,) = copies(planned, tmp_path, 1)
     order = rng.permutation(len(case[0]))
     survey.record(table_of(survey))
-    with pytest.raises(rs.InputError, match="the catalog must be that of the survey, got another catalog"):
+    with pytest.raises(
+        rs.InputError,
+        match="the catalog must be that of the first plan, with 60 targets, digest .*, got another catalog",
+    ):
         survey.state(case[0][order])
     other = rs.plan_survey(case[0][order], *case[1:], folder=tmp_path / "other", allocator="repair")
     other.record(table_of(survey))
@@ -150,9 +153,9 @@ def test_a_partitioned_catalog(case, tmp_path):
         assert (getattr(one, name) == getattr(two, name)).all(), name
     assert one.summary == two.summary
     assert differences(plan, other) == []
+    survey = rs.Survey.read(tmp_path / "survey-0")
     with pytest.raises(rs.InputError, match="rules that change priorities must be used with a catalog in memory"):
         survey.state(sky, rule=VisitRule(function=lambda table: {"priority": np.ones(len(table))}))
-    survey = rs.Survey.read(tmp_path / "survey-0")
     with pytest.raises(rs.InputError, match="targets must be changed only in a survey of a catalog in memory"):
         survey.record(events(target=1001, state="dropped"))
 
