@@ -57,9 +57,7 @@ class NaiveHistory:
         """Return whether one earlier record of a tile and a date makes all statements."""
         return any(said <= one.said for one in self.records(tile, date))
 
-    def observe(
-        self, tile: str, date: str, state: str, plan: bytes, failed=(), fraction: float = 1.0, good=()
-    ) -> None:
+    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=(), fraction: float = 1.0, good=()) -> None:
         """Add an observation with all failures recorded before, unless it repeats an earlier record."""
         said = statements(state, failed, fraction, good)
         if not self.is_known(tile, date, said):
