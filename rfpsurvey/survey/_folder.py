@@ -1,7 +1,9 @@
 """The folder of a survey, with a file for the result of each tile, which is called the *part* of this tile."""
 
 import hashlib
+import os
 from collections.abc import Callable
+from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
 
@@ -14,10 +16,13 @@ from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
-OTHERS = (JOINT, "joint/state.npz")
+ABOUT = (*TABLES, JOINT, "joint/state.npz")
+"""Files that describe the whole survey."""
 MOST_FILE = 2**28
 EVENTS, PLANS = "events", "events/plans"
 """Folders of recorded events, and of copies of plans with which tiles were observed."""
+DATES = f"{EVENTS}/plans.csv"
+"""File with the checksum of the former plan of each tile, and the date on which this plan was made."""
 
 
 class Folder(RequestFolder):
@@ -49,6 +54,7 @@ class Folder(RequestFolder):
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
         before = {"given": self._request["given"], **before}  # earlier versions did not write it
+        self._planned = before.pop("planned", "")
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
                 raise InputError(
@@ -68,6 +74,7 @@ class Folder(RequestFolder):
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
+        is_finished = not self._is_new_state and (self.path / TABLES[0]).is_file()
         same = {name: value for name, value in now.items() if name not in changed}
         same["instrument"], before = _instrument_of(now), {**before, "instrument": _instrument_of(before)}
         earlier = {name: value for name, value in before.items() if name not in changed}
@@ -80,7 +87,7 @@ class Folder(RequestFolder):
             )
             raise InputError(text) from None
         finally:
-            self._request = own
+            self._request = own | {"planned": self._planned if is_finished else today()}
 
     def _read(self):
         super()._read()
@@ -88,6 +95,14 @@ class Folder(RequestFolder):
             warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
         if not self._is_new_state:
             return
+        dates = plan_dates(self.path)
+        for name, entries in self._known.items():
+            if dates.get(name, ("",))[0] != entries[-1][1]:
+                dates[name] = entries[-1][1], self._planned
+        lines = [",".join((name, *entry)) + "\n" for name, entry in sorted(dates.items()) if name not in ABOUT]
+        if self._known:
+            (self.path / EVENTS).mkdir(exist_ok=True)
+            write_bytes(self.path / DATES, "".join(lines).encode(), sync=True)
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
         for event in self._state.events.of_tiles():
@@ -99,7 +114,7 @@ class Folder(RequestFolder):
         for name in stale:
             del self._known[name]
         self._write_index((name, entries[-1]) for name, entries in self._known.items())
-        for name in {*stale, *TABLES, *OTHERS}:  # new files are written faster than files are replaced
+        for name in {*stale, *ABOUT}:  # new files are written faster than files are replaced
             (self.path / name).unlink(missing_ok=True)
 
     def _copy(self, name: str, digest: str) -> None:
@@ -111,7 +126,7 @@ class Folder(RequestFolder):
 
     def _belongs(self, name: str) -> bool:
         stem = Path(name).stem
-        return name in (*TABLES, *OTHERS) or (stem.isdigit() and int(stem) < self._n and name == part_name(int(stem)))
+        return name in ABOUT or (stem.isdigit() and int(stem) < self._n and name == part_name(int(stem)))
 
     def part(self, tile: int) -> bytes | None:
         """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
@@ -163,6 +178,22 @@ class Folder(RequestFolder):
         """Write a table of the survey to a file; ``cards`` and ``title`` are those of `write_table`."""
         with self.writing(name) as own:
             write_table(table, own, cards=cards, name=title)
+
+
+def today() -> str:
+    """Return the present date, or the date that the environment variable SOURCE_DATE_EPOCH gives (s since 1970)."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return str(datetime.fromtimestamp(int(seconds), UTC).date() if seconds.isdecimal() else date.today())
+
+
+def plan_dates(folder: Path) -> dict[str, tuple[str, str]]:
+    """Return the checksum and the date of the former plan of each tile by name; the date of the first plan is empty.
+
+    If the present plan of a tile has another checksum, it was made on the date ``planned`` in the request.
+    """
+    text = content_of(folder / DATES, most=MOST_FILE).decode("ascii", "replace") if is_present(folder / DATES) else ""
+    rows = [line.split(",") for line in text.splitlines()]
+    return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
 
 
 def part_name(tile: int) -> str:

@@ -229,15 +229,15 @@ class Survey:
         table : Table, DataFrame, list of dict, or path-like
             Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
             ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
-            ``positioner`` or ``target``, and ``reason``. Without a state, a tile is bad if ``good`` is false or
-            ``fraction`` is 0, partly observed if ``fraction`` is less than ``enough``, and done otherwise. A row with a
-            positioner or a target means that this visit failed, unless ``good`` is true; visits without a row were
-            successful. Added tiles have the columns ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A
-            table without the column ``tile`` changes targets: it has the column ``target``, and optionally
-            ``priority``, ``visits``, ``state`` (``dropped`` or ``planned``) and, for targets that are added, ``ra``,
-            ``dec`` and the columns of the catalog. The usual names of columns in tables of DESI are also read
-            (``TILEID``, ``ZDATE``, ``LASTNIGHT``, ``OBSSTATUS``, ``TARGETID``). The path of a confSummaryF file of
-            SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
+            ``positioner`` or ``target``, ``reason``, and ``plan`` (the digest ``PLANID`` of the plan of the tile).
+            Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
+            less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
+            unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
+            and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes targets: it has
+            the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``, ``dropped`` or
+            ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The usual names of
+            columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a
+            confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional

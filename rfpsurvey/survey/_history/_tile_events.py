@@ -11,12 +11,23 @@ from rfpsurvey._folder import read_index
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_labels
-from rfpsurvey.errors import MOST_WHOLE, InputError, short, warn
-from rfpsurvey.survey._folder import part_name
+from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
+from rfpsurvey.survey._folder import part_name, plan_dates
 from rfpsurvey.survey._history._columns import columns_of, groups_of
-from rfpsurvey.survey._history._events import ADDED, BAD, DONE, DROPPED, PARTLY, PLANNED, Events, TileEvent
+from rfpsurvey.survey._history._events import (
+    ADDED,
+    BAD,
+    DONE,
+    DROPPED,
+    PARTLY,
+    PLANNED,
+    Events,
+    TileEvent,
+    read_request,
+)
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import to_numbers
+from rfpsurvey.survey._work import plan_digest
 from rfpsurvey.tiling import when_of
 
 MOST_FRACTION = 10
@@ -35,7 +46,8 @@ class History:
         self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
         added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
         self.n_targets = max(len(survey.outcomes), *added, 0)
-        self._known = read_index(folder)
+        self._known, self._dates = read_index(folder), plan_dates(folder)
+        self._planned = read_request(folder).get("planned", "")
         about = survey.provenance.get("events", {"n_files": 0, "digest": ""})
         self.n_applied = about["n_files"]
         applied = events.first(self.n_applied)
@@ -60,6 +72,11 @@ class History:
         """Return the recorded event of the same observation; None if there is none."""
         return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
 
+    def targets(self, row: int, plan: str) -> set[str]:
+        """Return the identifiers of the targets of a plan, without empty sky."""
+        visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
+        return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
+
     def visits(self, event: TileEvent) -> np.ndarray:
         """Return the visits of the plan with which a tile was observed."""
         return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
@@ -69,6 +86,23 @@ class History:
         entries = self._known.get(part_name(row))
         is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
         return entries[-1][1] if is_planned else None
+
+    def plan_date(self, row: int, plan: str) -> str:
+        """Return the date on which the present plan of a tile replaced another plan; empty if it replaced none."""
+        checksum, date = self._dates.get(part_name(row), ("", ""))
+        return date if checksum == plan else self._planned
+
+    def named_plan(self, row: int, name: str, digest: str) -> str:
+        """Return the checksum of the plan of a tile with the digest that a table gives, or raise an error."""
+        plans = dict.fromkeys(one for one in (self.plan(row), *(old for k, old in self.used_plans if k == row)) if one)
+        for plan in plans:
+            visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
+            if digest in (plan, plan_digest(name, visits["positioner"], visits["target_id"])):
+                return plan
+        raise InputError(
+            f"plan must be the digest (PLANID in the header) of the present plan of tile {name}, or of a plan with "
+            f"which an observation was recorded, got {digest!r}"
+        )
 
     def place(self, row: int) -> np.ndarray:
         """Return the right ascension, declination, position angle (deg) and pass of a tile."""
@@ -108,7 +142,8 @@ def tile_events(
                 )
             n_ignored += 1
             continue
-        event = _event(state, name, date, fraction, history, (table, roles, whole))
+        named = {name: {columns[name][k] for k in rows if columns[name]} - {""} for name in ("plan", "target")}
+        event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
         if state in (DONE, PARTLY, BAD):
             is_repeated = any(one.date == date for one in history.of(name))
             event = event._replace(has_state=bool(whole) or not is_repeated)
@@ -161,8 +196,13 @@ def _state_of(
     return (DONE if fraction >= enough else PARTLY), fraction
 
 
-def _event(state: str, name: str, date: str, fraction: float, history: History, source: tuple) -> TileEvent:
-    """Return the event of a tile without failed positioners, or raise an error if it is not possible."""
+def _event(
+    state: str, name: str, date: str, fraction: float, history: History, source: tuple, *, plan=(), target=()
+) -> TileEvent:
+    """Return the event of a tile without failed positioners, or raise an error if it is not possible.
+
+    ``plan`` and ``target`` are the digests of plans and the targets that the table names.
+    """
     states = history.states
     if state == ADDED:
         return _addition(name, history, *source)
@@ -176,6 +216,11 @@ def _event(state: str, name: str, date: str, fraction: float, history: History, 
     if state == DROPPED:
         return TileEvent(row, name, DROPPED, date, 0.0)
     earlier = [one for one in states.of(row) if one.date == date]
+    if len(plan) > 1:
+        raise InputError(f"plan must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(plan))}")
+    named = next((history.named_plan(row, name, one) for one in plan), None)
+    if named and any(one.plan != named for one in earlier if date):
+        raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {min(plan)!r}")
     stated = [one[2:5] for one in history.past.get(row, ()) if one.has_state]
     is_repeated = date or (state, date, fraction) in stated
     if earlier and (is_repeated or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
@@ -186,15 +231,22 @@ def _event(state: str, name: str, date: str, fraction: float, history: History, 
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    plan = history.plan(row)
+    plan = named or history.plan(row)
     if plan is None:
         raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-    is_older = (row, plan) in history.used_plans  # the tile was observed before with this plan
+    is_older = named or (row, plan) in history.used_plans  # the tile was observed before with this plan
     if history.planned_until and date <= history.planned_until and not is_older:
         raise InputError(
             f"the date of the observation of tile {name} must be later than {history.planned_until}, because its plan "
             f"was made with the events up to this date, got {date or 'no date'}; record each night before the survey "
             "is planned again"
+        )
+    made = "" if named else history.plan_date(row, plan)
+    if "" < date < made and not history.targets(row, plan) <= {*target}:
+        raise InputError(
+            f"the date of the observation of tile {name} must not be before {made}, the day on which its plan was last "
+            f"changed, got {date}; if the tile was observed with its present plan, give the digest of the plan (PLANID "
+            "in the header of its file) in a column plan, or the targets of all visits"
         )
     return TileEvent(row, name, state, date, fraction, plan)
 

@@ -48,8 +48,9 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan()
         self.naive = NaiveHistory()
         self.day, self.planned_day = 1, 0
-        self.tables, self.applied = [], set()
         self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
+        self.tables, self.applied = [], set()
+        self.plans = {name: (part(self.folder, row), "") for row, name in enumerate(self.names)}
         self.unplanned, self.frozen = set(), {}
         self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
         self.kind = dict.fromkeys(self.visits, "science")
@@ -63,7 +64,9 @@ class History(RuleBasedStateMachine):
 
     def plan(self, state=None, **options):
         options = {"folder": self.folder, "resume": state is not None, **options}
-        with warnings.catch_warnings():
+        clock = np.datetime64(date_of(self.day if state is not None else 1), "s").astype(int)
+        with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+            patch.setenv("SOURCE_DATE_EPOCH", str(clock))
             warnings.simplefilter("ignore", rs.RfpsurveyWarning)
             return rs.plan_survey(self.sky, INSTRUMENT, TINY, allocator=self.allocator, visits=state, rng=1, **options)
 
@@ -152,7 +155,8 @@ class History(RuleBasedStateMachine):
             applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
             is_later = date > max(applied, default="")
             used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
-            accepted = bool(plan) and not done and (is_later or used)
+            is_later = is_later and date >= self.plans[name][1]  # a plan that did not change has an earlier date
+            accepted = bool(plan) and not done and (is_later or (used and date >= self.plans[name][1]))
         defaults = {"fraction": 1.0, "good": True}
         columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
@@ -228,6 +232,9 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan(state)
         self.unplanned = {name for name in self.names if self.naive.state_of(name) == "dropped"}
         self.planned_day = self.day
+        for row, name in enumerate(self.names):
+            if name not in self.unplanned and self.plans.get(name, ("",))[0] != part(self.folder, row):
+                self.plans[name] = part(self.folder, row), date_of(self.day)
         self.applied = {(one.tile, one.date, one.plan) for word, one in self.naive.log if word == "observe"}
         self.check_plan()
 
