@@ -185,6 +185,7 @@ class Request:
             "tiling": {k: v for k, v in about.items() if k in ("columns", "omitted")} | self.tiling.summary,
             "parameters": self.parameters,
             "units": self.source.units,
+            "target_columns": self.source.kinds,
             **self._events,
         }
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
