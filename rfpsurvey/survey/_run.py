@@ -16,7 +16,7 @@ from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._flags import flags_of
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
-from rfpsurvey.survey._history import begin, digest_of
+from rfpsurvey.survey._history import begin, digest_of, extra_digest
 from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
@@ -39,7 +39,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         request.check_text()
         where = Folder(
             path,
-            {**request.identity(), "given": digest_of(request.given)},
+            {**request.identity(), "given": digest_of(request.given), "extra": extra_digest(request.given)},
             len(request.tiling),
             resume=resume,
             state=request.state,

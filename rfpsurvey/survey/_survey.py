@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Number
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of, refusal, warn_of_former_name
+from rfpsurvey.errors import InputError, number_of, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
@@ -217,6 +216,7 @@ class Survey:
         enough: float = 1.0,
         tile: int | str | None = None,
         columns: dict[str, str] | None = None,
+        dry_run: bool = False,
     ) -> dict:
         """Record what was observed, or which tiles or targets changed, in the folder of the survey.
 
@@ -244,12 +244,14 @@ class Survey:
             The tile of all rows of a table without the column ``tile``.
         columns : dict of str to str, optional
             Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
+        dry_run : bool, optional
+            Whether to check the table, and to return what would change, without recording anything.
 
         Returns
         -------
         dict
             Number of new events (``n_events``), of rows that were already recorded (``n_known``), and of rows without
-            an observation (``n_ignored``).
+            an observation (``n_ignored``); tiles and targets by the kind of their change (``changes``).
 
         Raises
         ------
@@ -259,9 +261,7 @@ class Survey:
         """
         from rfpsurvey.survey._history._record import record
 
-        if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
-            raise refusal("enough must be a number above 0", enough, Number)
-        return record(self, table, enough=enough, tile=tile, columns=columns)
+        return record(self, table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
 
     def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
         """Return the state of the survey that follows from the recorded events.

@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._events import read_request
 from rfpsurvey.survey._history._rule import VisitRule
@@ -87,13 +87,22 @@ def check_first_catalog(folder: Path, catalog: Catalog | PartitionedCatalog, vis
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
-    """Return a digest of the columns that a plan uses, which does not require an index on the sky."""
+    """Return a digest of the positions and columns that allocators use, which does not require an index on the sky.
+
+    Further columns (``extra``) do not determine which target is in a row; `extra_digest` identifies them.
+    """
     if isinstance(catalog, PartitionedCatalog):
         own = catalog.parts.digest()
     else:
         icrs, columns = catalog.coord.icrs, (getattr(catalog, name) for name in ("id", *PLANNED_COLUMNS))
-        own = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns), *map(_widest, catalog.arrays.extra.values()))
+        own = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns))
     return f"{number_of(len(catalog), 'target')}, digest {own}"
+
+
+def extra_digest(catalog: Catalog | PartitionedCatalog) -> str:
+    """Return a digest of the further columns (``extra``) of a catalog in memory."""
+    columns = {} if isinstance(catalog, PartitionedCatalog) else catalog.arrays.extra
+    return f"{listed(columns)}, digest {digest(*map(_widest, columns.values()))}"
 
 
 def _widest(column: np.ndarray | None) -> np.ndarray | None:

@@ -1,6 +1,7 @@
 """Convert a table of observations, or of changes to tiles or targets, to events, and append them to a survey."""
 
 import os
+from numbers import Number
 from pathlib import Path
 
 import numpy as np
@@ -9,22 +10,45 @@ from astropy.table import QTable
 from rfpsurvey import _io
 from rfpsurvey._folder import LOCK, locked, read_index
 from rfpsurvey.catalog import as_table
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_switch, listed, refusal
 from rfpsurvey.survey._folder import TABLES
 from rfpsurvey.survey._history._columns import columns_of_catalog, renamed, roles_of, warn_of_others
 from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
-from rfpsurvey.survey._history._events import ADDED, DROPPED, read_events, read_request
-from rfpsurvey.survey._history._targets import target_changes
+from rfpsurvey.survey._history._events import (
+    ADDED,
+    BAD,
+    DONE,
+    DROPPED,
+    PARTLY,
+    PLANNED,
+    TileEvent,
+    read_events,
+    read_request,
+)
+from rfpsurvey.survey._history._targets import DROPPED as IS_DROPPED
+from rfpsurvey.survey._history._targets import IS_ADDED, target_changes
 from rfpsurvey.survey._history._tile_events import History, tile_events
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling
 
+RESULTS = ("state", "good", "date", "fraction", "positioner", "target")
+"""Roles of columns of which a table of observations has at least one; other tables can be lists of tiles."""
+CHANGES = {
+    DONE: "tiles observed",
+    PARTLY: "tiles partly observed",
+    BAD: "tiles whose observation was bad",
+    DROPPED: "tiles dropped",
+    PLANNED: "tiles whose records are canceled",
+    ADDED: "tiles added or moved",
+}
 
-def record(
-    survey, table: object, *, enough: float = 1.0, tile: object = None, columns: dict[str, str] | None = None
-) -> dict[str, int]:
+
+def record(survey, table: object, *, enough: float, tile: object, columns: dict | None, dry_run: bool) -> dict:
     """Append events to the folder of a survey; see `Survey.record`."""
+    if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
+        raise refusal("enough must be a number above 0", enough, Number)
+    check_switch(dry_run, "dry_run")
     if survey.folder is None:
         raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
     if "cadences" in survey.provenance["parameters"]:
@@ -41,6 +65,11 @@ def record(
     if tile is not None and "tile" in roles:
         raise InputError(
             f"tile must be given only for a table without a column of tiles, got the column {roles['tile']!r}"
+        )
+    if ("tile" in roles or tile is not None) and not {*RESULTS} & {*roles}:
+        raise InputError(
+            f"a table of observations must have one of the columns {listed(RESULTS)}, got {listed(table.colnames)}; to "
+            "record that tiles are finished, add a column state with the value done"
         )
     with locked(folder, folder / LOCK):
         events = read_events(folder)
@@ -59,10 +88,24 @@ def record(
                 first = Tiling(QTable({**survey.tiles[names], "state": np.full(len(survey.tiles), DROPPED)}))
                 add_tiles(first, states.added, states.dropped)  # checks all positions
         n_events = len(tiles) + (0 if changes is None else len(changes))
-        if n_events:
+        if n_events and not dry_run:
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
             events.append(tiles, changes, n_applied=history.n_applied, **numbers)
-    return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored}
+    return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
+
+
+def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[str]]:
+    """Return the identifiers of the tiles and targets that events change, by the kind of the change."""
+    found: dict[str, list[str]] = {}
+    for event in tiles:
+        found.setdefault(CHANGES[event.state], []).append(event.tile)
+        failed = event.failed if event.stated is None else event.stated
+        if failed:
+            found.setdefault("failed visits", []).extend(f"{event.tile}/{name}" for name in failed)
+    for row in () if targets is None else targets:
+        state = {1: "dropped", IS_ADDED: "added"}.get(int(row[IS_DROPPED]), "changed")
+        found.setdefault(f"targets {state}", []).append(str(row["target_id"]))
+    return found
 
 
 def _present_survey(survey: Survey, folder: Path) -> Survey:

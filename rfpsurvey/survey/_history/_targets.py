@@ -96,6 +96,13 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     lacking = [one for one in kinds if one not in known and not (one in further and _given(changes[one])[new].all())]
     if len(new) and lacking:
         warn(f"the values of {listed(lacking)} are not recorded for all added targets; rules treat them as missing")
+    first = events.target_tables[0][0] if events.target_tables else n
+    placed = changes["ra"] if "ra" in changes.colnames else np.full(len(ids), np.nan)
+    if not {"state", "dropped"} & {*lower} and (np.isfinite(placed) & (rows < first)).any():
+        raise InputError(
+            "a table of targets must have a column state if it contains positions of targets of the first plan, got "
+            f"{listed(table.colnames)}, which can be a catalog; omit the positions, or add the column state"
+        )
     known = _known(changes, events)
     return changes[~known], int(known.sum())
 

@@ -1,6 +1,7 @@
 """Tables of changes to targets with the columns of a catalog, and catalogs that changed after the first plan."""
 
 import shutil
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -162,3 +163,17 @@ def test_the_catalog_is_compared_at_its_own_epoch_and_without_the_rule(tmp_path)
     assert survey_status(again, again.state(sky, rule=rule))["n_observed"][0] == state.observed.sum() > 0
     with pytest.raises(rs.InputError, match="the catalog must be that of the first plan"):
         again.state(sky.at_epoch(2026.5), rule=rule)
+
+
+def test_further_columns_are_compared_when_the_survey_is_planned_again(tmp_path):
+    """Further columns do not matter for the state, but new plans need those of the first plan."""
+    sky = targets()
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    full = replace(sky, extra=QTable({"g": np.full(60, 15.0)}))
+    survey = rs.plan_survey(full, instrument(), tiling(), **options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    state = survey.state(sky)
+    assert (state.observed == survey.state(full).observed).all()
+    with pytest.raises(rs.InputError, match="extra differs"):
+        rs.plan_survey(sky, instrument(), tiling(), visits=state, resume=True, **options)
+    assert len(rs.plan_survey(full, instrument(), tiling(), visits=survey.state(full), resume=True, **options)) == 6

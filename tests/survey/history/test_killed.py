@@ -83,8 +83,11 @@ def test_equal_changes_of_targets_are_known(tmp_path):
     survey = rs.Survey.read(tmp_path / "survey")
     new = events(target=[1001, 7], visits=[2, 3], ra=[np.nan, 120.0], dec=[np.nan, 30.0], priority=[np.nan, 1.0])
     assert survey.record(new)["n_events"] == 2
-    assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0}
-    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {"n_events": 1, "n_known": 1, "n_ignored": 0}
+    assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0, "changes": {}}
+    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {
+        **{"n_events": 1, "n_known": 1, "n_ignored": 0},
+        "changes": {"targets changed": ["1002"]},
+    }
     assert survey.record(events(target=1001, visits=1))["n_events"] == 1
     assert survey.record(events(target=1001, visits=2))["n_events"] == 1
     assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1

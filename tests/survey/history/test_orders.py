@@ -90,7 +90,7 @@ def test_a_night_recorded_after_the_plan_has_the_last_visit_of_its_date(case, pl
 def test_observations_without_dates_follow_those_before_them(case, planned, tmp_path):
     (survey,) = copies(planned, tmp_path, 1)
     survey.record(events(tile=11, date="2026-01-04"))
-    survey.record(events(tile=14))
+    survey.record(events(tile=14, state="done"))
     both = {*survey.tile(11)["target_id"].tolist()} & {*survey.tile(14)["target_id"].tolist()}
     own = {row["target_id"]: row for row in survey.state(case[0]).table}
     assert {own[one]["last_tile"] for one in both} == {"14"}

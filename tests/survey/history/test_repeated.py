@@ -37,7 +37,7 @@ def test_an_old_table_does_not_undo_a_correction(case, survey):
     survey.record(old)
     survey.record(events(tile=11, date="2026-01-03", state="bad"))
     with pytest.warns(rs.RfpsurveyWarning, match="tile 11 on 2026-01-03 was corrected after this record"):
-        assert survey.record(old) == {"n_events": 0, "n_known": 2, "n_ignored": 0}
+        assert survey.record(old) == {"n_events": 0, "n_known": 2, "n_ignored": 0, "changes": {}}
     assert survey.state(case[0]).summary["n_tiles_observed"] == 1
     survey.record(events(tile=11, state="planned"))
     assert survey.record(old)["n_events"] == 1
@@ -56,7 +56,7 @@ def test_an_observation_without_a_date_is_not_recorded_after_a_dated_plan(case, 
     survey.record(events(tile=11, date="2026-01-03"))
     survey = rs.plan_survey(*case, allocator="nearest", folder=survey.folder, visits=survey.state(case[0]), resume=True)
     with pytest.raises(rs.InputError, match="later than 2026-01-03, .* got no date; record each night before"):
-        survey.record(events(tile=12))
+        survey.record(events(tile=12, state="done"))
 
 
 def test_columns_without_a_role_are_listed(survey):
@@ -147,7 +147,7 @@ def test_tables_that_were_corrected_are_recorded_again(case, survey, tables):
         assert survey.record(table)["n_events"] == 1
     before = states_of(survey, case[0])
     for table in (*tables, *tables[::-1]):
-        assert survey.record(table) == {"n_events": 0, "n_known": 1, "n_ignored": 0}
+        assert survey.record(table) == {"n_events": 0, "n_known": 1, "n_ignored": 0, "changes": {}}
         assert states_of(survey, case[0])[:-1] == before[:-1]
 
 
