@@ -53,7 +53,9 @@ class Folder(RequestFolder):
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
-        before = {name: self._request[name] for name in ("given", "extra")} | before  # new in this version
+        before = {
+            name: self._request[name] for name in ("given", "extra", "required_ids")
+        } | before  # new in this version
         self._planned = before.pop("planned", "")
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):

@@ -39,7 +39,12 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         request.check_text()
         where = Folder(
             path,
-            {**request.identity(), "given": digest_of(request.given), "extra": extra_digest(request.given)},
+            {
+                **request.identity(),
+                "given": digest_of(request.given),
+                "extra": extra_digest(request.given),
+                "required_ids": [str(one) for one in request.options.required_ids],
+            },
             len(request.tiling),
             resume=resume,
             state=request.state,

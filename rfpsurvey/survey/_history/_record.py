@@ -8,10 +8,10 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey import _io
-from rfpsurvey._folder import LOCK, locked, read_index
+from rfpsurvey._folder import LOCK, locked, read_index, remove_temporary
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_switch, listed, refusal
-from rfpsurvey.survey._folder import TABLES
+from rfpsurvey.survey._folder import EVENTS, TABLES
 from rfpsurvey.survey._history._columns import columns_of_catalog, renamed, roles_of, warn_of_others
 from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
 from rfpsurvey.survey._history._events import (
@@ -73,6 +73,12 @@ def record(survey, table: object, *, enough: float, tile: object, columns: dict 
         )
     with locked(folder, folder / LOCK):
         events = read_events(folder)
+        if not dry_run:
+            remove_temporary(folder)
+            for path in {*(folder / EVENTS).glob("*.fits")} - {
+                folder / EVENTS / str(one.targets) for one in events.files
+            }:
+                path.unlink()  # a process was killed before it wrote the file of events
         survey = _present_survey(survey, folder)
         history = History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0

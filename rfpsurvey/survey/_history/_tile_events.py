@@ -127,7 +127,14 @@ def tile_events(
     has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
     groups = groups_of(names.tolist(), columns["date"])
     place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
-    for name, date in sorted(groups, key=lambda key: (key[1], place[key[0]])):
+
+    def order(group: tuple[str, str]) -> tuple:
+        """Return a key for sorting: observations of a night have the order of the table, other events that of tiles."""
+        words = [] if columns["state"] is None else [columns["state"][k] for k in groups[group]]
+        is_observed = not {ADDED, DROPPED, PLANNED} & {*words}
+        return group[1], is_observed, (min(groups[group]),) if is_observed else place[group[0]]
+
+    for name, date in sorted(groups, key=order):
         rows = groups[name, date]
         whole = [k for k in rows if not is_visit[k]]
         if len(whole) > 1:

@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import time
 
 import numpy as np
@@ -95,3 +96,18 @@ def test_equal_changes_of_targets_are_known(tmp_path):
     assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
     assert survey.record(events(target=[1001], category=["a"]))["n_known"] == 1
     assert survey.state(CASE[0]).catalog.visits[[1, 2, 60]].tolist() == [2, 2, 3]
+
+
+@pytest.mark.parametrize("table", [events(tile=11, date="2026-01-03"), events(target=1001, visits=2)])
+def test_files_that_a_killed_record_left_are_removed(tmp_path, table):
+    """Regression: temporary files and tables of targets without events remained."""
+    plan(tmp_path / "survey", True)
+    survey = rs.Survey.read(tmp_path / "survey")
+    survey.record(events(target=1002, visits=2))
+    shutil.copytree(tmp_path / "survey", tmp_path / "other")
+    for name in ("events/.rfpsurvey-0123456789abcdef", f"events/000002-{'0' * 64}.fits"):
+        (survey.folder / name).write_bytes(b"SIMPLE")
+    survey.record(table)
+    rs.Survey.read(tmp_path / "other").record(table)
+    names = [sorted(path.name for path in (tmp_path / one / "events").iterdir()) for one in ("survey", "other")]
+    assert names[0] == names[1]

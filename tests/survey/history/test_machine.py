@@ -141,22 +141,36 @@ class History(RuleBasedStateMachine):
         names = [one for one, is_good in failed.items() if not is_good]
         self.send(name, date, state, rows, by_fraction, names, [*{*failed} - {*names}])
 
-    def send(self, name, date, state, rows, by_fraction, failed, good):
-        """Record rows, which are correct if the observation is later than the plan, or corrects or repeats another."""
-        fraction = FRACTIONS[state] if by_fraction else 1.0
+    def is_accepted(self, name, date, state, failed=(), fraction=1.0, good=()):
+        """Return whether an observation is later than the plan, or corrects or repeats another one."""
         before, plan = self.naive.of(name), self.plan_for(name, date)
         done = [one for one in before if one.state == "done" and one.date != date]
         if plan and {*failed, *good} - {*rs._io.read_fits_bytes(plan, "plan")[0]["positioner"].astype(str)}:
-            accepted = False  # the tile has another plan than when the table was written
-        elif any(one.date == date for one in before):
+            return False  # the tile has another plan than when the table was written
+        if any(one.date == date for one in before):
             known = self.naive.is_known(name, date, statements(state, failed, fraction, good))
-            accepted = known or not (state == "done" and done)
-        else:
-            applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
-            is_later = date > max(applied, default="")
-            used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
-            is_later = is_later and date >= self.plans[name][1]  # a plan that did not change has an earlier date
-            accepted = bool(plan) and not done and (is_later or (used and date >= self.plans[name][1]))
+            return known or not (state == "done" and done)
+        applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
+        used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
+        is_later = used or date > max(applied, default="")
+        return bool(plan) and not done and is_later and date >= self.plans[name][1]
+
+    @rule(tiles=st.lists(st.integers(0, 9), min_size=2, max_size=3), late=st.booleans())
+    def observe_a_night(self, tiles, late):
+        """Observe several tiles in the order of the table, which determines the last visits."""
+        self.day += 1
+        date = date_of(self.planned_day + 1 if late else self.day)
+        names = [*dict.fromkeys(self.names[tile % len(self.names)] for tile in tiles)]
+        plans = [self.plan_for(name, date) for name in names]
+        accepted = all(self.is_accepted(name, date, "done") for name in names)
+        if self.record(events(tile=names, date=date, state="done"), accepted):
+            for name, plan in zip(names, plans, strict=True):
+                self.naive.observe(name, date, "done", plan)
+
+    def send(self, name, date, state, rows, by_fraction, failed, good):
+        """Record rows, which may be refused."""
+        fraction, plan = FRACTIONS[state] if by_fraction else 1.0, self.plan_for(name, date)
+        accepted = self.is_accepted(name, date, state, failed, fraction, good)
         defaults = {"fraction": 1.0, "good": True}
         columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
@@ -267,7 +281,7 @@ class History(RuleBasedStateMachine):
                     assert survey.tiles["n_observed"][row] == len(good)
                     assert survey.tiles["date"][row] == one.date
                     assert survey.tiles["n_failed"][row] == sum(v[2] for v in one.visits()) - len(good)
-        total = {"requested": 0, "observed": 0, "complete": 0, "targets": 0}
+        total = {"requested": 0, "made": 0, "observed": 0, "complete": 0, "targets": 0}
         for target, requested, observed in zip(
             *(survey.outcomes[name].tolist() for name in ("target_id", "requested", "observed")), strict=True
         ):
@@ -275,17 +289,19 @@ class History(RuleBasedStateMachine):
             if self.kind[target] != "science":
                 assert observed == 0
                 continue
-            assert requested == (own if target in self.dropped else max(own, self.visits[target]))
-            assert observed == min(requested, own + planned.get(target, 0))
+            assert requested == (min(own, self.visits[target]) if target in self.dropped else self.visits[target])
+            assert observed == max(own, min(requested, own + planned.get(target, 0)))
             assert target not in self.dropped or planned.get(target, 0) == 0 or self.naive_begun(target)
             total["requested"] += requested
-            total["observed"] += observed
-            total["complete"] += 0 < requested == observed
+            total["made"] += observed
+            total["observed"] += min(observed, requested)
+            total["complete"] += 0 < requested <= observed
             total["targets"] += requested > 0
         summary = survey.summary
         assert summary["n_visits_made"] == sum(made.values())
         assert summary["n_visits_failed"] == sum(one["failed"] for one in counts.values())
-        assert summary["n_visits_observed"] == total["observed"] == survey.tiles["n_observed"].sum()
+        assert summary["n_visits_observed"] == total["observed"]
+        assert survey.tiles["n_observed"].sum() == total["made"]
         assert summary["n_visits_requested"] == total["requested"]
         last = survey.completeness[survey.completeness["priority"] == "all"][-1]
         names = ("n_requested", "n_observed", "n_complete", "n_targets")
@@ -317,12 +333,12 @@ class History(RuleBasedStateMachine):
         table = state.table
         for target, *found in zip(*(table[name].tolist() for name in ("target_id", *names)), strict=True):
             own = counts.get(target, nobody)
-            wanted = max(own["made"], self.visits[target])
+            wanted = self.visits[target]
             if target in self.dropped or (retries is not None and own["failed"] > retries):
-                wanted = own["made"]
+                wanted = min(wanted, own["made"])
             if self.kind[target] != "science":
                 own, wanted = nobody, 0
-            assert found == [*(own[name] for name in nobody), wanted, wanted - own["made"]], target
+            assert found == [*(own[name] for name in nobody), wanted, max(wanted - own["made"], 0)], target
 
     @invariant()
     def check_state(self):
