@@ -53,9 +53,9 @@ class Folder(RequestFolder):
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
-        before = {
-            name: self._request[name] for name in ("given", "extra", "required_ids")
-        } | before  # new in this version
+        # earlier versions did not write all entries; the entry required, which can be a digest, is compared
+        before = {"given": self._request["given"], "extra": self._request["extra"], **before}
+        before["required_ids"] = self._request["required_ids"]
         self._planned = before.pop("planned", "")
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
@@ -93,10 +93,10 @@ class Folder(RequestFolder):
 
     def _read(self):
         super()._read()
-        if not self._known and (self.path / TABLES[0]).is_file():
-            warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
         if not self._is_new_state:
             return
+        if not self._known and (self.path / TABLES[0]).is_file():
+            warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
         dates = plan_dates(self.path)
         for name, entries in self._known.items():
             if dates.get(name, ("",))[0] != entries[-1][1]:
