@@ -12,6 +12,7 @@ from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_dimensionless
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
+from rfpsurvey.constraints import Rule
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
@@ -186,6 +187,9 @@ class Request:
             "parameters": self.parameters,
             "units": self.source.units,
             "target_columns": self.source.kinds,
+            "rule_columns": [
+                name for one in self.options.all_constraints if isinstance(one, Rule) for name in one.columns
+            ],
             **self._events,
         }
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support

@@ -94,6 +94,12 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
     _check_numbers(changes, new, "priority" in kinds, ids)
     lacking = [one for one in kinds if one not in known and not (one in further and _given(changes[one])[new].all())]
+    unknown = [one for one in survey.provenance.get("rule_columns", ()) if one in lacking and one not in further]
+    if len(new) and unknown:
+        raise InputError(
+            f"a table with added targets must have the column {unknown[0]}, which a rule of the survey uses, got "
+            f"{listed(table.colnames)}"
+        )
     if len(new) and lacking:
         warn(f"the values of {listed(lacking)} are not recorded for all added targets; rules treat them as missing")
     first = events.target_tables[0][0] if events.target_tables else n

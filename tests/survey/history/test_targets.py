@@ -62,6 +62,8 @@ def test_further_columns_of_known_targets_change(extended):
 
 def test_columns_that_are_not_recorded_are_named(extended):
     sky, _, survey = extended
+    with pytest.raises(rs.InputError, match="must have the column g, which a rule of the survey uses, got target"):
+        survey.record(new(field=[1, 2]))
     text = "the values of field, flag, name are not recorded for all added targets; rules treat them as missing"
     with pytest.warns(rs.RfpsurveyWarning, match="the values of field, name, flag are not recorded|" + text):
         survey.record(new(g=[300.0, 1200.0] * u.cmag))
