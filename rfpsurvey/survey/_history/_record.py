@@ -74,7 +74,7 @@ def record(survey, table: object, *, enough: float, tile: object, columns: dict 
     with locked(folder, folder / LOCK):
         events = read_events(folder)
         if not dry_run:
-            remove_temporary(folder)
+            remove_temporary(folder / EVENTS)
             for path in {*(folder / EVENTS).glob("*.fits")} - {
                 folder / EVENTS / str(one.targets) for one in events.files
             }:
