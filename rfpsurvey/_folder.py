@@ -123,11 +123,7 @@ class RequestFolder:
         if self._begun:
             self._compare(_load(self.path / self.request_name))
             self._read()
-        for left_over in list(self.path.rglob(f"{TEMPORARY_PREFIX}*")):  # left by a process that was killed
-            if left_over.is_dir():
-                shutil.rmtree(left_over, ignore_errors=True)
-            else:
-                left_over.unlink(missing_ok=True)
+        remove_temporary(self.path)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
         write_bytes(self.path / self.request_name, content, sync=True)
         self._write_index((name, entry) for name, entries in self._known.items() for entry in entries)
@@ -193,6 +189,15 @@ class RequestFolder:
     def finish(self) -> None:
         """Sort the lines of the index, so that the index does not depend on the order in which files were written."""
         self._write_index((name, self._known[name][-1]) for name in sorted(self._known))
+
+
+def remove_temporary(path: Path) -> None:
+    """Remove temporary files in a locked folder, which a process left that was killed."""
+    for left_over in list(path.rglob(f"{TEMPORARY_PREFIX}*")):
+        if left_over.is_dir():
+            shutil.rmtree(left_over, ignore_errors=True)
+        else:
+            left_over.unlink(missing_ok=True)
 
 
 def _entry_of(path: Path) -> tuple[int, str]:

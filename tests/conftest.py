@@ -17,6 +17,8 @@ from rfpsurvey._cli import _process
 # The imported modules and the collected tests exist until the end. Excluding them from garbage collection saves time.
 gc.disable()
 matplotlib.use("agg")
+# surveys are planned before the nights of the tests
+os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")
 # the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced
 settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database=None)
 settings.load_profile("rfpsurvey")

@@ -6,7 +6,8 @@ import rfpsurvey as rs
 from rfpsurvey._cli import _app, _plan_file, _surveys
 from rfpsurvey._cli._keys import build, keys_of
 from rfpsurvey._cli.survey import SurveyKeys
-from rfpsurvey.survey import SurveyState, VisitRule, check_first_catalog
+from rfpsurvey.instrument import as_instrument
+from rfpsurvey.survey import SurveyState, VisitRule
 
 __all__ = ["state_of", "survey_and_state", "values_of"]
 
@@ -30,7 +31,5 @@ def survey_and_state(folder: Path, until: str | None) -> "tuple[rs.Survey, Surve
     """Return the survey in a folder, and its state, for the catalog and the rule in its plan file."""
     survey = rs.Survey.read(folder)
     keys = build(SurveyKeys, values_of(folder))
-    model = _app.model_of(keys.instrument) if keys.catalog.path is None else None
-    state = state_of(folder, keys, _surveys.targets_of(keys.catalog, model, keys.rng), until)
-    check_first_catalog(state)
-    return survey, state
+    model = _app.model_of(keys.instrument) if keys.catalog.path is None else as_instrument(keys.instrument.name)
+    return survey, state_of(folder, keys, _surveys.targets_of(keys, model), until)

@@ -29,15 +29,22 @@ MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 LITTLE = 0.001  # the fraction of visits below which the text before a search advises against a long search
 
 
-def targets_of(keys, model: "rs.Instrument", seed: int):
-    """Read a catalog from a file or a folder of partitions; by default, make a synthetic catalog wider than a field."""
-    if keys.path is None:
-        _app.warn_without_catalog(keys)
-        options = {"density": model.target_density, "rng": seed}
+def targets_of(keys, model: "rs.Instrument"):
+    """Read the catalog of a survey from a file or a folder of partitions, with the columns that rules and cadences use.
+
+    By default, make a synthetic catalog wider than a field. All commands that read the catalog of a survey call this
+    function, so that they have the same columns.
+    """
+    catalog = _app.with_columns_of_rules(keys.catalog, getattr(keys, "options", {}), model)
+    if getattr(keys, "cadences", None) is not None:
+        catalog = replace(catalog, keep=[*dict.fromkeys([*(catalog.keep or ()), "cadence"])])
+    if catalog.path is None:
+        _app.warn_without_catalog(catalog)
+        options = {"density": model.target_density, "rng": keys.rng}
         return rs.synthetic_catalog(
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
-    return _app.read_catalog(keys)
+    return _app.read_catalog(catalog)
 
 
 def check_replan(keys) -> None:

@@ -68,7 +68,7 @@ def potential(keys: PotentialKeys, _: Given) -> None:
         tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
     tiling = _surveys.read_tiles(tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
-    points = _surveys.targets_of(keys.catalog, model, keys.rng)
+    points = _surveys.targets_of(keys, model)
     tiling = _surveys.tiles_of(tiling, points, model)
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
     begin = perf_counter()

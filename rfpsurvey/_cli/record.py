@@ -7,7 +7,8 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _command, _examples, _main
-from rfpsurvey.errors import number_of
+from rfpsurvey._cli._print import print_text
+from rfpsurvey.errors import listed, number_of
 
 
 @_main.app.command(epilog=_examples.RECORD_EXAMPLES)
@@ -33,12 +34,19 @@ def record(
         list[str] | None,
         typer.Option(metavar="ROLE=NAME", help="Name of a column, such as date=night. The option may be repeated."),
     ] = None,
+    dry_run: Annotated[
+        bool, typer.Option("--dry-run", help="Print what would change, without recording anything.")
+    ] = False,
 ) -> None:
     """Record what was observed, or which tiles and targets changed, in the folder of a survey."""
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
-    found = rs.Survey.read(folder).record(table, enough=enough, tile=tile, columns=columns)
+    found = rs.Survey.read(folder).record(table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
     print(f"{'new events':<34}{found['n_events']:>12}")
     print(f"{'already recorded':<34}{found['n_known']:>12}")
     print(f"{'ignored (not observed)':<34}{found['n_ignored']:>12}")
-    if found["n_events"]:
+    for kind, names in found["changes"].items():
+        print_text(f"{kind:<34}{len(names):>12}  {listed(names, 5)}")
+    if dry_run:
+        print("nothing was recorded (--dry-run)")
+    elif found["n_events"]:
         print(f"{number_of(found['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")

@@ -91,7 +91,7 @@ def select(keys: SelectKeys, given: Given) -> None:
     _app.check_outputs(keys.output, paths, (".fits",))
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
-    targets = _surveys.targets_of(keys.catalog, model, keys.rng)
+    targets = _surveys.targets_of(keys, model)
     if survey is not None:
         targets = _survey_folder.state_of(place, replace(survey, catalog=keys.catalog), targets)
     elif keys.catalog.visits is not None:

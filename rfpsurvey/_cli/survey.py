@@ -1,6 +1,6 @@
 """The command ``rfpsurvey survey``."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -71,10 +71,7 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
     tiling = _surveys.read_tiles(keys.tiles)
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
-    catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
-    if keys.cadences is not None:
-        catalog = replace(catalog, keep=[*dict.fromkeys([*(catalog.keep or ()), "cadence"])])
-    targets = _surveys.targets_of(catalog, model, keys.rng)
+    targets = _surveys.targets_of(keys, model)
     options = {
         "allocator": _app.allocator_of(keys.options, keys.joint, keys.order),
         "visits": _surveys.visits_of(keys, targets),

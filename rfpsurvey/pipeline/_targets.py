@@ -207,6 +207,8 @@ class FieldBuilder:
     left : ndarray of uint8
         Remaining visits before the first tile: ``wanted`` without the visits that were already made or, for standards
         and sky positions that fields contain, 1.
+    surplus : ndarray of uint8 or None
+        Number of visits that were made beyond the requested number; None if none were made.
     reusable : ndarray of bool or None
         Whether each target is a standard or sky position that fields contain; None if there are none.
     lasting : ndarray of bool or None
@@ -247,8 +249,11 @@ class FieldBuilder:
         science = None if kind is None else has_role(kind, "science")
         self.visits = visits
         self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
+        self.surplus = None
         if made is not None:
-            self.left = self.wanted - np.minimum(source.to_slots(made), self.wanted)
+            made = source.to_slots(made)
+            self.left = self.wanted - np.minimum(made, self.wanted)
+            self.surplus = made - np.minimum(made, self.wanted)
         uses_others = bool(options.counts or options.distributions)
         if science is not None and (uses_others or marked is not None):
             self.spends, self.reusable = science, ~science & (visits > 0)

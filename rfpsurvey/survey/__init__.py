@@ -1,7 +1,7 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._cadences import Cadences
-from rfpsurvey.survey._history import SurveyState, VisitRule, check_first_catalog
+from rfpsurvey.survey._history import SurveyState, VisitRule
 from rfpsurvey.survey._history._diff import diff_surveys
 from rfpsurvey.survey._history._status import survey_status
 from rfpsurvey.survey._joint import JOINT, JointOptions
@@ -20,7 +20,6 @@ __all__ = [
     "Survey",
     "SurveyState",
     "VisitRule",
-    "check_first_catalog",
     "diff_surveys",
     "in_order",
     "plan_survey",

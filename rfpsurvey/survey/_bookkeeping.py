@@ -67,6 +67,7 @@ class Bookkeeping:
         self.windows = windows
         self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
         self._lasting = builder.lasting
+        self._surplus = builder.surplus
         priority, category = (builder.source.by_slot(name) for name in ("priority", "category"))
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
         self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
@@ -80,7 +81,7 @@ class Bookkeeping:
         if len(made):  # visits that were made before belong to the first pass
             self.flags[made] |= DONE
             for tally in self.tallies.values():
-                tally.begin(self.done(), made[self.left[made] == 0])
+                tally.begin(self.counted(), made[(self.left[made] == 0) & (self.wanted[made] > 0)])
 
     def open_job(self, request, tile: int):
         """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""
@@ -147,6 +148,10 @@ class Bookkeeping:
 
     def done(self) -> np.ndarray:
         """Return the number of successful visits to each target; 0 for standards and sky positions."""
+        return self.counted() if self._surplus is None else self.counted() + self._surplus
+
+    def counted(self) -> np.ndarray:
+        """Return the number of successful visits to each target, at most the number of requested visits."""
         done = self.wanted - self.left
         if self.spends is not None:
             done[~self.spends] = 0
@@ -157,8 +162,8 @@ class Bookkeeping:
         done = self.done()
         code = _outcomes_by_flags(self.flags)
         code[done > 0] = Outcome.PARTLY_OBSERVED
-        code[done == self.wanted] = Outcome.OBSERVED
-        code[self.wanted == 0] = Outcome.NOT_REQUESTED
+        code[done >= self.wanted] = Outcome.OBSERVED
+        code[(self.wanted == 0) & (done == 0)] = Outcome.NOT_REQUESTED
         return code
 
     def never_observed(self, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -36,7 +36,7 @@ def read_finished(folder: Path, n_tiles: int, *, joint: bool, state=None) -> Sur
         return None
     times = np.bincount(planned.astype(np.int64), minlength=len(outcomes))
     if state is not None:
-        times = np.minimum(times + state.observed, state.requested)
+        times = np.maximum(np.minimum(times + state.observed, state.requested), state.observed)
     is_requested = np.asarray(outcomes["requested"]) > 0  # standards and sky positions have no requested visits
     if (times != np.asarray(outcomes["observed"]))[is_requested].any():
         return None

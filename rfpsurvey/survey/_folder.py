@@ -1,20 +1,28 @@
 """The folder of a survey, with a file for the result of each tile, which is called the *part* of this tile."""
 
+import hashlib
+import os
 from collections.abc import Callable
+from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
 
 from astropy.table import QTable
 
-from rfpsurvey._folder import RequestFolder, read_verified
+from rfpsurvey._folder import INDEX, RequestFolder, read_verified
 from rfpsurvey._io import write_bytes, write_table, written
+from rfpsurvey._readers import content_of, is_present
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
-OTHERS = (JOINT, "joint/state.npz")
+ABOUT = (*TABLES, JOINT, "joint/state.npz")
+"""Files that describe the whole survey."""
+MOST_FILE = 2**28
 EVENTS, PLANS = "events", "events/plans"
 """Folders of recorded events, and of copies of plans with which tiles were observed."""
+DATES = f"{EVENTS}/plans.csv"
+"""File with the checksum of the former plan of each tile, and the date on which this plan was made."""
 
 
 class Folder(RequestFolder):
@@ -32,22 +40,23 @@ class Folder(RequestFolder):
         Whether to continue an unfinished survey.
     state : SurveyState, optional
         State of the survey that is planned; plans of tiles that it does not keep are planned again.
-    first_catalog : callable, optional
-        Function that returns the entry ``catalog`` of the request of the first plan.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None, first_catalog=None):
+    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None):
         super().__init__(path, request, resume=resume)
-        self._first_catalog = first_catalog
         self._n, self._state, self._is_new_state = n_tiles, state, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
 
     def _compare(self, before: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
+        # earlier versions did not write all entries; the entry required, which can be a digest, is compared
+        before = {"given": self._request["given"], "extra": self._request["extra"], **before}
+        before["required_ids"] = self._request["required_ids"]
+        self._planned = before.pop("planned", "")
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
                 raise InputError(
@@ -63,10 +72,11 @@ class Folder(RequestFolder):
             {k: v for k, v in one.items() if k != "visits"} for one in (before.get("first", {}), now["first"])
         )
         if not first:
-            first = {name: before.get(name) for name in ("catalog", "passes", "tiles")}
-            now_first["catalog"] = self._first_catalog(first["catalog"])
+            first = {name: before.get(name) for name in ("passes", "tiles")}
+            del now_first["catalog"]  # the state was computed for the catalog of the first plan
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
+        is_finished = not self._is_new_state and (self.path / TABLES[0]).is_file()
         same = {name: value for name, value in now.items() if name not in changed}
         same["instrument"], before = _instrument_of(now), {**before, "instrument": _instrument_of(before)}
         earlier = {name: value for name, value in before.items() if name not in changed}
@@ -79,49 +89,56 @@ class Folder(RequestFolder):
             )
             raise InputError(text) from None
         finally:
-            self._request = own
+            self._request = own | {"planned": self._planned if is_finished else today()}
 
     def _read(self):
         super()._read()
         if not self._is_new_state:
             return
+        if not self._known and (self.path / TABLES[0]).is_file():
+            warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
+        dates = plan_dates(self.path)
+        for name, entries in self._known.items():
+            if dates.get(name, ("",))[0] != entries[-1][1]:
+                dates[name] = entries[-1][1], self._planned
+        lines = [",".join((name, *entry)) + "\n" for name, entry in sorted(dates.items()) if name not in ABOUT]
+        if self._known:
+            (self.path / EVENTS).mkdir(exist_ok=True)
+            write_bytes(self.path / DATES, "".join(lines).encode(), sync=True)
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
         for event in self._state.events.of_tiles():
             name = part_name(event.row)
-            known = self._known.get(name)
-            if known and known[-1][1] == event.plan and (name not in kept or kept[name].plan != event.plan):
-                self._copy(name, kept_name(event.plan))
+            # the index, which can be damaged, does not determine which plans are kept
+            if event.plan and (name not in kept or kept[name].plan != event.plan):
+                self._copy(name, event.plan)
         stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
         for name in stale:
             del self._known[name]
         self._write_index((name, entries[-1]) for name, entries in self._known.items())
-        for name in {*stale, *TABLES, *OTHERS}:  # new files are written faster than files are replaced
+        for name in {*stale, *ABOUT}:  # new files are written faster than files are replaced
             (self.path / name).unlink(missing_ok=True)
 
-    def _copy(self, name: str, copy: str) -> None:
+    def _copy(self, name: str, digest: str) -> None:
         """Keep a plan with which a tile was observed, because the file of the tile will be replaced."""
-        if not (self.path / copy).exists():
-            (self.path / copy).parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(self.path / copy, read_verified(self.path, name, self._known), sync=True)
+        copy = self.path / kept_name(digest)
+        if verified(copy, digest) is None and (content := verified(self.path / name, digest)) is not None:
+            copy.parent.mkdir(parents=True, exist_ok=True)
+            write_bytes(copy, content, sync=True)
 
     def _belongs(self, name: str) -> bool:
         stem = Path(name).stem
-        return name in (*TABLES, *OTHERS) or (stem.isdigit() and int(stem) < self._n and name == part_name(int(stem)))
+        return name in ABOUT or (stem.isdigit() and int(stem) < self._n and name == part_name(int(stem)))
 
     def part(self, tile: int) -> bytes | None:
         """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
         return self._content(part_name(tile), partial(self.distrust, tile))
 
-    def checksum(self, tile: int) -> str | None:
-        """Return the checksum of the stored result of the tile in row ``tile`` of the tiling; None if there is none."""
-        known = self._known.get(part_name(tile))
-        return known[-1][1] if known else None
-
-    def has_part(self, tile: int) -> bool:
-        """Return whether the file of a tile exists, and has the size in the index."""
-        path, known = self.path / part_name(tile), self._known.get(part_name(tile))
-        return known is not None and path.is_file() and path.stat().st_size == known[-1][0]
+    def has_part(self, tile: int, digest: str) -> bool:
+        """Return whether the file of a tile has a checksum, which is also that in the index."""
+        name = part_name(tile)
+        known = self._known.get(name, [(0, "")])[-1][1]
+        return known == digest and verified(self.path / name, digest) is not None
 
     def distrust(self, tile: int, reason: str) -> None:
         """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
@@ -165,6 +182,22 @@ class Folder(RequestFolder):
             write_table(table, own, cards=cards, name=title)
 
 
+def today() -> str:
+    """Return the present date, or the date that the environment variable SOURCE_DATE_EPOCH gives (s since 1970)."""
+    seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
+    return str(datetime.fromtimestamp(int(seconds), UTC).date() if seconds.isdecimal() else date.today())
+
+
+def plan_dates(folder: Path) -> dict[str, tuple[str, str]]:
+    """Return the checksum and the date of the former plan of each tile by name; the date of the first plan is empty.
+
+    If the present plan of a tile has another checksum, it was made on the date ``planned`` in the request.
+    """
+    text = content_of(folder / DATES, most=MOST_FILE).decode("ascii", "replace") if is_present(folder / DATES) else ""
+    rows = [line.split(",") for line in text.splitlines()]
+    return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
+
+
 def part_name(tile: int) -> str:
     """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
@@ -178,3 +211,11 @@ def _instrument_of(request: dict) -> str:
 def kept_name(digest: str) -> str:
     """Return the name of the copy of a plan with which a tile was observed, and which the survey later replaced."""
     return f"{PLANS}/{digest}.fits"
+
+
+def verified(path: Path, digest: str) -> bytes | None:
+    """Return the content of a file, or None if it does not exist or has another checksum."""
+    if not is_present(path):
+        return None
+    content = content_of(path, most=MOST_FILE)
+    return content if hashlib.sha256(content).hexdigest() == digest else None

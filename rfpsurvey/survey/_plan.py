@@ -1,7 +1,7 @@
 """The function `plan_survey`, and the validation of its parameters."""
 
 import logging
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
 from time import perf_counter
@@ -198,11 +198,12 @@ def prepare_request(
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     state = visits if isinstance(visits, SurveyState) else None
+    catalog = given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
     if isinstance(visits, VisitRule):
         catalog, visits = first_visits(catalog, visits)
     cadences = visits if isinstance(visits, Cadences) else None
     if cadences is not None:
-        catalog = in_memory(catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog), "cadences")
+        catalog = in_memory(catalog, "cadences")
         cadences, visits = (cadences, cadences.of(catalog)), cadences.visits(catalog)
         if catalog.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a survey with cadences")
@@ -229,16 +230,8 @@ def prepare_request(
         used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)
         source = Partitioned(catalog, used)
     else:
-        catalog = as_catalog(catalog)
         used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
-    first_sources = None
-    if state is not None and state.first is not catalog and not isinstance(catalog, PartitionedCatalog):
-
-        def first_sources() -> Iterator[InMemory]:
-            for one in (state.first, state.before(0).catalog):  # without and with the rule
-                yield InMemory(one if used is None else one.at_epoch(used))
-
     if cadences is not None and joint is not None and joint.fixed is not None:
         raise InputError("fixed must not be given for a joint plan with cadences")
     if cadences is not None and joint is not None and joint.early:
@@ -261,7 +254,7 @@ def prepare_request(
         joint=joint,
         state=state,
         cadences=cadences,
-        first_sources=first_sources,
+        given=given if state is None else state.first,
     )
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")

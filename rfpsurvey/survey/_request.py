@@ -1,7 +1,6 @@
 """The validated request of a survey, that is, its input and its options."""
 
 import json
-from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -13,6 +12,7 @@ from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_dimensionless
 from rfpsurvey.allocation import AllocationOptions, packages
 from rfpsurvey.catalog import epoch_text
+from rfpsurvey.constraints import Rule
 from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
@@ -63,8 +63,8 @@ class Request:
     """Options of the joint plan; None if the tiles are planned one after the other."""
     state: SurveyState | None = None
     """The state of the survey, if events were recorded."""
-    first_sources: Callable | None = None
-    """Function that yields the possible catalogs of the first plan; None if this catalog is ``source``."""
+    given: object = None
+    """The catalog of the first plan as it was given, at its own epoch and without priorities of a rule."""
     cadences: tuple | None = None
     """The cadences, and the row of the cadence of each target in the order of the catalog."""
     first: dict = field(default_factory=dict)
@@ -186,6 +186,10 @@ class Request:
             "tiling": {k: v for k, v in about.items() if k in ("columns", "omitted")} | self.tiling.summary,
             "parameters": self.parameters,
             "units": self.source.units,
+            "target_columns": self.source.kinds,
+            "rule_columns": [
+                name for one in self.options.all_constraints if isinstance(one, Rule) for name in one.columns
+            ],
             **self._events,
         }
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
@@ -211,14 +215,6 @@ class Request:
         about["tiles"] = tiles_digest(self.tiling, self.conditions)
         first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}
         return {**about, **first, **self._events, **self.parameters, "software": self.software}
-
-    def first_catalog(self, text: str) -> str:
-        """Return ``text`` if it is the entry ``catalog`` of the `identity` of the first plan, otherwise this entry."""
-        for source in (self.source,) if self.first_sources is None else self.first_sources():
-            found = f"{number_of(len(source), 'target')}, digest {source.digest()}"
-            if found == text:
-                break
-        return found
 
     @property
     def _events(self) -> dict:

@@ -72,7 +72,7 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
     table["fiber_use"] = counts["n_assigned"] / max(n_usable, 1)
     centers, near = request.tiling.vectors, request.source.sum_near
-    wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.done()))
+    wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.counted()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
     table.meta = {

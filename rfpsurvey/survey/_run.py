@@ -16,7 +16,7 @@ from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
 from rfpsurvey.survey._flags import flags_of
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
-from rfpsurvey.survey._history import begin
+from rfpsurvey.survey._history import begin, digest_of, extra_digest
 from rfpsurvey.survey._joint import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
@@ -39,11 +39,15 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         request.check_text()
         where = Folder(
             path,
-            request.identity(),
+            {
+                **request.identity(),
+                "given": digest_of(request.given),
+                "extra": extra_digest(request.given),
+                "required_ids": [str(one) for one in request.options.required_ids],
+            },
             len(request.tiling),
             resume=resume,
             state=request.state,
-            first_catalog=request.first_catalog,
         )
     with where as folder:
         n = len(request.tiling)
@@ -115,7 +119,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
         if folder is None:
             content = history.events.plan(tile, event.plan)
             parts[tile] = _io.read_fits_bytes(content, f"the plan of tile {event.tile}")[0]
-        elif folder.checksum(tile) != event.plan or not folder.has_part(tile):
+        elif not folder.has_part(tile, event.plan):
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             own = history.replayed.counts[tile]

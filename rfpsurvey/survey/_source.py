@@ -4,6 +4,7 @@ import hashlib
 from collections import OrderedDict
 from collections.abc import Iterator
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -32,6 +33,12 @@ class InMemory(CatalogTargets):
     def ids(self) -> np.ndarray:
         """Return the ids of all targets, in the order of rows."""
         return self.catalog.id
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """Kinds of the data types of the optional columns of the catalog, by name."""
+        columns = {name: getattr(self.catalog, name) for name in PLANNED_COLUMNS} | self.catalog.arrays.extra
+        return {name: column.dtype.kind for name, column in columns.items() if column is not None}
 
     def by_row(self, values: np.ndarray) -> np.ndarray:
         """Reorder values from the order of slots to the order of the rows of the catalog."""
@@ -146,6 +153,9 @@ class Partitioned:
     def units(self) -> dict:
         """Units of the additional columns (``extra``) of the catalog, by name."""
         return self._part(0).units
+
+    kinds: ClassVar[dict[str, str]] = {}
+    """Always empty, because targets of a catalog in partitions cannot be added or changed."""
 
     def text_columns(self) -> dict:
         """Return an empty dict, because a test of the text columns would require reading all partitions.

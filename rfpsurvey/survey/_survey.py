@@ -4,7 +4,6 @@ import os
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from numbers import Number
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +12,7 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of, refusal, warn_of_former_name
+from rfpsurvey.errors import InputError, number_of, warn_of_former_name
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
@@ -217,6 +216,7 @@ class Survey:
         enough: float = 1.0,
         tile: int | str | None = None,
         columns: dict[str, str] | None = None,
+        dry_run: bool = False,
     ) -> dict:
         """Record what was observed, or which tiles or targets changed, in the folder of the survey.
 
@@ -229,27 +229,29 @@ class Survey:
         table : Table, DataFrame, list of dict, or path-like
             Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
             ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
-            ``positioner`` or ``target``, and ``reason``. Without a state, a tile is bad if ``good`` is false or
-            ``fraction`` is 0, partly observed if ``fraction`` is less than ``enough``, and done otherwise. A row with a
-            positioner or a target means that this visit failed, unless ``good`` is true; visits without a row were
-            successful. Added tiles have the columns ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A
-            table without the column ``tile`` changes targets: it has the column ``target``, and optionally
-            ``priority``, ``visits``, ``state`` (``dropped`` or ``planned``) and, for targets that are added, ``ra``,
-            ``dec`` and the columns of the catalog. The usual names of columns in tables of DESI are also read
-            (``TILEID``, ``ZDATE``, ``LASTNIGHT``, ``OBSSTATUS``, ``TARGETID``). The path of a confSummaryF file of
-            SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
+            ``positioner`` or ``target``, ``reason``, and ``plan`` (the digest ``PLANID`` of the plan of the tile).
+            Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
+            less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
+            unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
+            and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes targets: it has
+            the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``, ``dropped`` or
+            ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The usual names of
+            columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a
+            confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional
             The tile of all rows of a table without the column ``tile``.
         columns : dict of str to str, optional
             Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
+        dry_run : bool, optional
+            Whether to check the table, and to return what would change, without recording anything.
 
         Returns
         -------
         dict
             Number of new events (``n_events``), of rows that were already recorded (``n_known``), and of rows without
-            an observation (``n_ignored``).
+            an observation (``n_ignored``); tiles and targets by the kind of their change (``changes``).
 
         Raises
         ------
@@ -259,9 +261,7 @@ class Survey:
         """
         from rfpsurvey.survey._history._record import record
 
-        if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
-            raise refusal("enough must be a number above 0", enough, Number)
-        return record(self, table, enough=enough, tile=tile, columns=columns)
+        return record(self, table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
 
     def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
         """Return the state of the survey that follows from the recorded events.

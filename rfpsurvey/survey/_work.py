@@ -1,5 +1,6 @@
 """The function `work`, which plans one tile from the data of a `Job`, and can run on any machine."""
 
+import hashlib
 import pickle
 from dataclasses import dataclass, fields
 from functools import cached_property, lru_cache
@@ -177,7 +178,9 @@ def work(job: Job) -> Done:
         **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
     }
     counts["n_unmet"] += sum(n > 0 for name, n in counts.items() if name.startswith(VIOLATED))
-    cards = {"TILE": job.tile, "RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
+    plan_id = plan_digest(job.tile, columns["positioner"], columns["target_id"])
+    cards = {"TILE": job.tile, "PLANID": (plan_id, "digest of the targets of all positioners")}
+    cards |= {"RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
     cards.update((card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items())
@@ -189,6 +192,12 @@ def work(job: Job) -> Done:
         visits = np.rec.fromarrays(list(columns.values()), names=list(columns))
     flags = flags_of(plan.allocation.in_reach, plan.allocation.excluded)
     return Done(part, visits, plan.target, columns["observed"], flags, counts)
+
+
+def plan_digest(tile: int | str, positioner: np.ndarray, target_id: np.ndarray) -> str:
+    """Return 16 hexadecimal digits that identify the targets of all positioners of a tile."""
+    text = "\0".join(map(str, [tile, *positioner.tolist(), *target_id.tolist()]))
+    return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:

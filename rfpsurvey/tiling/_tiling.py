@@ -344,13 +344,17 @@ def _integers(column, tile):
 
 
 def _refuse_twins(tile, angles, number, table):
-    """Raise an error if two tiles of a pass (and program) have the same center and position angle to 1e-8 deg."""
+    """Raise an error if two tiles of a pass (and program) have the same center and position angle to 1e-8 deg.
+
+    Tiles with the state ``dropped``, such as retired tiles, are not compared.
+    """
     name = next((c for c in table.colnames if c.lower() == "program"), None)
     program = 0 if name is None else np.unique(to_plain(table[name]), return_inverse=True)[1].reshape(-1)
-    columns = [angles["ra"], angles["dec"], angles["position_angle"]]
-    key = np.column_stack(
-        [place_of(*columns[:2]), np.rint(columns[2] * 1e8) % round(360e8), number, np.broadcast_to(program, len(tile))]
-    )
+    columns, retired = [angles["ra"], angles["dec"], angles["position_angle"]], np.zeros(len(tile), dtype=np.int64)
+    if "state" in table.colnames:
+        retired = np.where(np.asarray(table["state"]) == "dropped", 1 + np.arange(len(tile)), 0)
+    turn, program = np.rint(columns[2] * 1e8) % round(360e8), np.broadcast_to(program, len(tile))
+    key = np.column_stack([place_of(*columns[:2]), turn, number, program, retired])
     _, first, inverse = np.unique(key, axis=0, return_index=True, return_inverse=True)
     first = first[inverse.reshape(-1)]
     twin = np.flatnonzero(first != np.arange(len(tile)))

@@ -10,6 +10,7 @@ the folder. The state is compared with a second replay, and the files of observe
 
 import argparse
 import hashlib
+import os
 import tempfile
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -57,6 +58,9 @@ def timed(function, *args, **options):
     """Call a function; return its result, and the elapsed time and the processor time in seconds."""
     begin, used = perf_counter(), process_time()
     return function(*args, **options), (perf_counter() - begin, process_time() - used)
+
+
+os.environ["SOURCE_DATE_EPOCH"] = "1767225600"  # the survey is planned before the invented dates
 
 
 def main():

@@ -430,3 +430,16 @@ def test_a_rule_is_an_entry_point_of_a_package(call, plan, install):
     assert tomllib.loads((folder / "plan.toml").read_text())["rule"] == {"function": "mine"}
     survey = rs.Survey.read(folder)
     assert (survey.outcomes["requested"] == 3 - (_catalog(folder).priority == 1)).all()
+
+
+def test_lists_of_tiles_and_catalogs_are_not_recorded(run, call, plan, files, tmp_path):
+    """Regression: all tiles became finished tiles without a date, and each target of a catalog became an event."""
+    folder = plan()
+    assert "must have one of the columns state, good" in sentence(*run("record", folder, files / "tiles.ecsv")[::2])
+    assert "must have a column state" in sentence(*run("record", folder, files / "stars.fits")[::2])
+    out, lines = call("record", folder, write(tmp_path / "a.csv", tile=[11, 12], state=["done", "bad"]), "--dry-run")
+    assert lines["new events"] == ["2"]
+    assert lines["tiles observed"] == ["1", "11"]
+    assert lines["tiles whose observation was bad"] == ["1", "12"]
+    assert "nothing was recorded" in out
+    assert not (folder / "events").exists()

@@ -47,3 +47,30 @@ def test_other_options_than_those_of_the_survey_are_refused(run, plan):
     code, _, err = run("select", plan, "--n-realizations", "3", "--allocator", "repair")
     assert code == 2
     assert "--allocator must be 'nearest', as for the survey, got 'repair'" in err
+
+
+@pytest.mark.parametrize(
+    "words", [("--constraint", "magnitude vt_mag 9 inf science"), ("--epoch", "2026.5")], ids=["rule", "epoch"]
+)
+@pytest.mark.parametrize("recorded", [False, True])
+def test_surveys_with_rules_or_an_epoch_have_a_status_and_probabilities(run, tmp_path, words, recorded):
+    """Regression: both commands read another catalog than the command survey, and refused it."""
+    (tmp_path / "tiles.csv").write_text("ra,dec\n94.2,23\n95.6,23\n")
+    (tmp_path / "night.csv").write_text("tile,date,state\n0,2026-01-03,done\n")
+    folder, given = tmp_path / "plan", ("--instrument", "sdss_apo", "--tiles", tmp_path / "tiles.csv", *words)
+    given = (*given, "--allocator", "nearest", "--set", "options.subpriority=1", "--folder", folder)
+    commands = [("survey", "example:anticenter", *given)]
+    commands += [("record", folder, tmp_path / "night.csv")] if recorded else []
+    commands += [("status", folder), ("select", folder, "--n-realizations", "2", "--output", tmp_path / "out.fits")]
+    for command in commands:
+        code, _, err = run(*command)
+        assert code == 0, err
+
+
+def test_columns_of_rules_are_kept_in_probabilities_of_a_catalog(run, tmp_path):
+    """Regression: the column of a rule was missing if the catalog was given instead of the folder of a survey."""
+    (tmp_path / "tiles.csv").write_text("ra,dec\n94.2,23\n")
+    command = ("select", "example:anticenter", "--instrument", "sdss_apo", "--tiles", tmp_path / "tiles.csv")
+    rule = ("--constraint", "magnitude vt_mag 9 inf science", "--allocator", "nearest", "--n-realizations", "2")
+    code, _, err = run(*command, *rule, "--output", tmp_path / "out.fits")
+    assert code == 0, err

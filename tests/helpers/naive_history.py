@@ -16,6 +16,8 @@ class Observation:
     plan: bytes
     failed: frozenset = frozenset()
     fraction: float = 1.0
+    said: frozenset = frozenset()
+    """The statements of the table: the state with the fraction, and each positioner that failed or was good."""
 
     def visits(self) -> list[tuple]:
         """Return the identifier of the target, the positioner and the success of the plan for each science visit."""
@@ -29,31 +31,48 @@ class Observation:
             ]
 
 
+def statements(state: str, failed=(), fraction: float = 1.0, good=()) -> frozenset:
+    """Return what a table states of a tile and a date, statement by statement."""
+    return frozenset({(state, fraction), *(("failed", one) for one in failed), *(("good", one) for one in good)})
+
+
 @dataclass
 class NaiveHistory:
     """All records of a survey in the order in which they were made."""
 
     log: list = field(default_factory=list)
-    """Pairs of a word (``observe``, ``cancel``, ``drop``) and an observation."""
+    """Pairs of a word (``observe``, ``cancel``, ``drop``, ``add``) and an observation."""
 
-    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=(), fraction: float = 1.0) -> None:
-        """Add an observation with all failures recorded before, unless it repeats an earlier record."""
-        earlier = []
+    def records(self, tile: str, date: str) -> list[Observation]:
+        """Return the records of a tile and a date that were made since the tile was canceled."""
+        found = []
         for word, one in self.log:
             if word == "cancel" and one.tile == tile:
-                earlier = []
+                found = []
             elif word == "observe" and (one.tile, one.date) == (tile, date):
-                earlier.append(one)
-        failed = frozenset(failed) | (earlier[-1].failed if earlier else frozenset())
-        new = Observation(tile, date, state, plan, failed, fraction)
-        if new not in earlier:
-            self.log.append(("observe", new))
+                found.append(one)
+        return found
+
+    def is_known(self, tile: str, date: str, said: frozenset) -> bool:
+        """Return whether one earlier record of a tile and a date makes all statements."""
+        return any(said <= one.said for one in self.records(tile, date))
+
+    def observe(self, tile: str, date: str, state: str, plan: bytes, failed=(), fraction: float = 1.0, good=()) -> None:
+        """Add an observation with all failures recorded before, unless it repeats an earlier record."""
+        said = statements(state, failed, fraction, good)
+        if not self.is_known(tile, date, said):
+            before = [one.failed for one in self.records(tile, date)]
+            failed = frozenset(failed) | ((before[-1] if before else frozenset()) - frozenset(good))
+            self.log.append(("observe", Observation(tile, date, state, plan, failed, fraction, said)))
 
     def cancel(self, tile: str, date: str = "") -> None:
         self.log.append(("cancel", Observation(tile, date, "planned", b"")))
 
     def drop(self, tile: str, date: str = "") -> None:
         self.log.append(("drop", Observation(tile, date, "dropped", b"")))
+
+    def add(self, tile: str) -> None:
+        self.log.append(("add", Observation(tile, "", "added", b"")))
 
     def observations(self, until: str | None = None) -> list[Observation]:
         """Return the observations that count, in the order of dates."""
@@ -79,8 +98,21 @@ class NaiveHistory:
         found = self.of(tile, until)
         if any(one.state == "done" for one in found):
             return "done"
-        words = [w for w, one in self.log if one.tile == tile and not (until is not None and one.date > until)]
-        if words and words[-1] == "drop":
+        dropped, known, latest = None, set(), ""
+        for word, one in self.log:
+            if until is not None and one.date > until:
+                continue
+            latest = max(latest, one.date if word == "observe" else "")
+            if one.tile != tile:
+                continue
+            if word == "drop":
+                dropped = one.date or latest
+            elif word != "observe":
+                dropped = None
+            elif one.date not in known and not (dropped is not None and one.date <= dropped):
+                dropped = None  # a new observation; a report on the past does not change the plan
+            known = {*known, one.date} if word == "observe" else set() if word == "cancel" else known
+        if dropped is not None:
             return "dropped"
         return "partly" if found and found[-1].state == "partly" else "planned"
 

@@ -1,13 +1,14 @@
 """Catalogs of surveys with recorded events: the columns that rules use, and comparisons of catalogs."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
-from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._events import read_request
 from rfpsurvey.survey._history._rule import VisitRule
@@ -66,39 +67,49 @@ def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
     return catalog
 
 
-def check_first_catalog(state) -> None:
-    """Raise an error if the catalog of a state is not that of the first plan.
+def check_first_catalog(folder: Path, catalog: Catalog | PartitionedCatalog, visits: object, rule: VisitRule) -> None:
+    """Raise an error if a catalog is not that of the first plan of the survey in a folder.
 
-    Parameters
-    ----------
-    state : SurveyState
-        The state.
-
-    Raises
-    ------
-    InputError
-        If the catalog is another catalog.
+    All functions that attribute visits to targets depend on this check, because visits refer to the rows of the
+    catalog.
     """
-    request, (catalog, visits) = read_request(state.folder), state.given
-    recorded, found = request.get("first", request).get("catalog"), "another catalog"
-    if "first" in request:
-        found = state.digest
-    else:  # the first plan used the priorities that a rule determined
-        for one in (catalog, first_visits(catalog, state.rule, visits)[0]):
+    request = read_request(folder)
+    recorded, found = request.get("given", request.get("first", {}).get("catalog")), digest_of(catalog)
+    if recorded is None and not request.get("epoch"):  # an earlier version planned the survey, and did not move targets
+        recorded = request.get("catalog")
+        for one in (catalog, first_visits(catalog, rule, visits)[0]) if recorded is not None else ():
             own = one.parts.digest() if isinstance(one, PartitionedCatalog) else InMemory(one).digest()
             found = recorded if recorded == f"{number_of(len(one), 'target')}, digest {own}" else found
     if recorded is not None and found != recorded:
         raise InputError(
-            f"the catalog must be that of the first plan, with {recorded}, got {found}; to add or change targets, "
-            "record a table of targets"
+            f"the catalog must be that of the first plan, with {recorded}, got another catalog with {found}; to add or "
+            "change targets, record a table of targets"
         )
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
-    """Return a digest of the columns that a plan uses, which does not require an index on the sky."""
+    """Return a digest of the positions and columns that allocators use, which does not require an index on the sky.
+
+    Further columns (``extra``) do not determine which target is in a row; `extra_digest` identifies them.
+    """
     if isinstance(catalog, PartitionedCatalog):
         own = catalog.parts.digest()
     else:
         icrs, columns = catalog.coord.icrs, (getattr(catalog, name) for name in ("id", *PLANNED_COLUMNS))
-        own = digest(icrs.ra.deg, icrs.dec.deg, *columns, *catalog.arrays.extra.values())
+        own = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns))
     return f"{number_of(len(catalog), 'target')}, digest {own}"
+
+
+def extra_digest(catalog: Catalog | PartitionedCatalog) -> str:
+    """Return a digest of the further columns (``extra``) of a catalog in memory."""
+    columns = {} if isinstance(catalog, PartitionedCatalog) else catalog.arrays.extra
+    return f"{listed(columns)}, digest {digest(*map(_widest, columns.values()))}"
+
+
+def _widest(column: np.ndarray | None) -> np.ndarray | None:
+    """Return a column with the data type that does not depend on the format of the file of the catalog."""
+    if column is None or column.dtype.kind not in "iufU":
+        return column
+    if column.dtype.kind == "U":
+        return column.astype(f"U{max(np.char.str_len(column).max(initial=1), 1)}")
+    return column.astype(np.float64 if column.dtype.kind == "f" else np.int64)

@@ -23,6 +23,7 @@ ROLES = {
     "dec": ("dec", "tiledec"),
     "position_angle": ("position_angle", "pa"),
     "pass": ("pass",),
+    "plan": ("plan", "planid", "plan_id"),
 }
 """Names of columns, by role; case is ignored."""
 HARMLESS = ("timestamp", "version", "program", "archivedate")
@@ -93,6 +94,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
         "reason": _texts(table, roles.get("reason")) or [""] * n,
         "positioner": _texts(table, roles.get("positioner")),
         "target": _texts(table, roles.get("target")),
+        "plan": _texts(table, roles.get("plan")),
     }
 
 

@@ -66,4 +66,5 @@ def visits_of_configuration(path: str | os.PathLike, survey, tile: object) -> Ta
     mjd = plan.meta["header"].get("MJD")
     date = "" if mjd is None else Time(float(mjd), format="mjd", scale="utc").isot[:10]
     good = np.array([not one for one in reasons], dtype=bool)
-    return Table({"positioner": visits["positioner"], "good": good, "reason": reasons, "date": [date] * len(visits)})
+    columns = {"positioner": visits["positioner"], "target": visits["target_id"], "good": good, "reason": reasons}
+    return Table({**columns, "date": [date] * len(visits)})

@@ -163,7 +163,7 @@ class _Side:
         dropped = np.zeros(len(self.ids), dtype=bool)
         for _, table in [] if self.events is None else self.events.target_tables:
             state = np.asarray(table[IS_DROPPED])
-            dropped[np.asarray(table[ROW])[state >= 0]] = state[state >= 0] > 0
+            dropped[np.asarray(table[ROW])[state >= 0]] = state[state >= 0] == 1
         return dropped
 
 

@@ -21,7 +21,7 @@ from rfpsurvey import _io
 from rfpsurvey._folder import MOST_REQUEST
 from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes, sentence
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name
+from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name, verified
 
 MOST = 2**28
 VERSION = 1
@@ -52,11 +52,25 @@ class TileEvent(NamedTuple):
     """Positioners that failed, with the reason for each of them."""
     place: tuple = ()
     """Right ascension, declination and position angle (deg) and the pass of an added tile."""
+    has_state: bool = True
+    """Whether the table states the state and the fraction; otherwise, they are those of an earlier record."""
+    stated: dict | None = None
+    """Positioners that failed according to the table alone, without earlier records; None if these are ``failed``."""
+    good: tuple = ()
+    """Positioners that were successful according to the table."""
 
     @property
     def observation(self) -> tuple:
         """The key of an observation: an event with the same key corrects the earlier event."""
         return self.row, self.date, self.plan
+
+    def includes(self, other: "TileEvent") -> bool:
+        """Return whether the table of this event states everything that the table of another event states."""
+        if (self.row, self.date, self.place) != (other.row, other.date, other.place):
+            return False
+        own, its = ((one.state, one.fraction) if one.has_state else () for one in (self, other))
+        failed, its_failed = (one.failed if one.stated is None else one.stated for one in (self, other))
+        return its in ((), own) and its_failed.items() <= failed.items() and {*other.good} <= {*self.good}
 
 
 @dataclass(frozen=True)
@@ -114,7 +128,7 @@ class Events:
 
     def _read_targets(self, name: str) -> QTable:
         path = self.folder / EVENTS / name
-        content = _verified(path, name.partition("-")[2].removesuffix(".fits"))
+        content = verified(path, name.partition("-")[2].removesuffix(".fits"))
         if content is None:
             raise InputError(f"{path} is missing or damaged (its checksum differs from the checksum in its name)")
         rows, _ = read_fits_bytes(content, path)
@@ -122,12 +136,13 @@ class Events:
 
     def plan(self, row: int, digest: str) -> bytes:
         """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
-        content = _verified(self.folder / part_name(row), digest)
-        content = _verified(self.folder / kept_name(digest), digest) if content is None else content
+        content = verified(self.folder / part_name(row), digest)
+        content = verified(self.folder / kept_name(digest), digest) if content is None else content
         if content is None:
             raise InputError(
                 f"{self.folder / part_name(row)} must be the plan with which the tile in row {row} was observed, got "
-                "another or a damaged file, and there is no copy of the plan"
+                "another or a damaged file, and there is no copy of the plan; restore the file, or record the state "
+                "planned for this tile, which cancels its observations"
             )
         return content
 
@@ -146,7 +161,10 @@ class Events:
             "previous": self.digest,
             **numbers,
             "targets": name,
-            "tiles": [event._asdict() | {"failed": _by_reason(event.failed)} for event in tiles],
+            "tiles": [
+                event._asdict() | {name: _by_reason(getattr(event, name)) for name in ("failed", "stated")}
+                for event in tiles
+            ],
         }
         body = json.dumps(about, separators=(",", ":"), sort_keys=True)
         _io.write_bytes(self.folder / _name(number), FRAME.format(_digest(body), body).encode(), sync=True)
@@ -204,7 +222,14 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
         if about["version"] != VERSION:
             raise InputError(f"version {about['version']} of the format is not supported")
         tiles = tuple(
-            TileEvent(**{**one, "failed": _by_name(one["failed"]), "place": tuple(one["place"])})
+            TileEvent(
+                **{
+                    **one,
+                    "failed": _by_name(one["failed"]),
+                    "stated": _by_name(one.get("stated")),
+                    "place": tuple(one["place"]),
+                }
+            )
             for one in about["tiles"]
         )
         numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
@@ -216,25 +241,21 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
     return file
 
 
-def _verified(path: Path, digest: str) -> bytes | None:
-    """Return the content of a file, or None if it does not exist or has another checksum."""
-    if not is_present(path):
-        return None
-    content = content_of(path, most=MOST)
-    return content if hashlib.sha256(content).hexdigest() == digest else None
-
-
-def _by_reason(failed: dict[str, str]) -> dict[str, list[str]]:
+def _by_reason(failed: dict[str, str] | None) -> dict[str, list[str]] | None:
     """Return the positioners that failed for each reason."""
+    if failed is None:
+        return None
     found: dict[str, list[str]] = {}
     for name, reason in failed.items():
         found.setdefault(reason, []).append(name)
     return found
 
 
-def _by_name(failed: dict[str, list[str]]) -> dict[str, str]:
+def _by_name(failed: dict[str, list[str]] | None) -> dict[str, str] | None:
     """Return the reason for each positioner that failed."""
-    return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
+    return (
+        None if failed is None else dict(sorted((name, reason) for reason, names in failed.items() for name in names))
+    )
 
 
 def _name(number: int) -> str:

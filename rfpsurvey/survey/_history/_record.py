@@ -1,29 +1,18 @@
 """Convert a table of observations, or of changes to tiles or targets, to events, and append them to a survey."""
 
 import os
-import re
+from numbers import Number
 from pathlib import Path
 
-import astropy.units as u
 import numpy as np
-from astropy.table import QTable, Table
+from astropy.table import QTable
 
 from rfpsurvey import _io
-from rfpsurvey._folder import LOCK, locked, read_index
-from rfpsurvey._io import check_fits_text
-from rfpsurvey._readers import read_fits_bytes
-from rfpsurvey._units import to_labels
+from rfpsurvey._folder import LOCK, locked, read_index, remove_temporary
 from rfpsurvey.catalog import as_table
-from rfpsurvey.errors import MOST_WHOLE, InputError, short, warn
-from rfpsurvey.survey._folder import TABLES, part_name
-from rfpsurvey.survey._history._columns import (
-    columns_of,
-    columns_of_catalog,
-    groups_of,
-    renamed,
-    roles_of,
-    warn_of_others,
-)
+from rfpsurvey.errors import InputError, check_switch, listed, refusal
+from rfpsurvey.survey._folder import EVENTS, TABLES
+from rfpsurvey.survey._history._columns import columns_of_catalog, renamed, roles_of, warn_of_others
 from rfpsurvey.survey._history._configuration import is_configuration, visits_of_configuration
 from rfpsurvey.survey._history._events import (
     ADDED,
@@ -32,25 +21,34 @@ from rfpsurvey.survey._history._events import (
     DROPPED,
     PARTLY,
     PLANNED,
-    Events,
     TileEvent,
     read_events,
     read_request,
 )
-from rfpsurvey.survey._history._replay import TileStates
-from rfpsurvey.survey._history._targets import target_changes, to_numbers
+from rfpsurvey.survey._history._targets import DROPPED as IS_DROPPED
+from rfpsurvey.survey._history._targets import IS_ADDED, target_changes
+from rfpsurvey.survey._history._tile_events import History, tile_events
 from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling, when_of
+from rfpsurvey.tiling import Tiling
 
-MOST_FRACTION = 10
-"""Largest fraction of an exposure; larger numbers are usually percentages."""
+RESULTS = ("state", "good", "date", "fraction", "positioner", "target")
+"""Roles of columns of which a table of observations has at least one; other tables can be lists of tiles."""
+CHANGES = {
+    DONE: "tiles observed",
+    PARTLY: "tiles partly observed",
+    BAD: "tiles whose observation was bad",
+    DROPPED: "tiles dropped",
+    PLANNED: "tiles whose records are canceled",
+    ADDED: "tiles added or moved",
+}
 
 
-def record(
-    survey, table: object, *, enough: float = 1.0, tile: object = None, columns: dict[str, str] | None = None
-) -> dict[str, int]:
+def record(survey, table: object, *, enough: float, tile: object, columns: dict | None, dry_run: bool) -> dict:
     """Append events to the folder of a survey; see `Survey.record`."""
+    if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
+        raise refusal("enough must be a number above 0", enough, Number)
+    check_switch(dry_run, "dry_run")
     if survey.folder is None:
         raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
     if "cadences" in survey.provenance["parameters"]:
@@ -68,290 +66,55 @@ def record(
         raise InputError(
             f"tile must be given only for a table without a column of tiles, got the column {roles['tile']!r}"
         )
+    if ("tile" in roles or tile is not None) and not {*RESULTS} & {*roles}:
+        raise InputError(
+            f"a table of observations must have one of the columns {listed(RESULTS)}, got {listed(table.colnames)}; to "
+            "record that tiles are finished, add a column state with the value done"
+        )
     with locked(folder, folder / LOCK):
         events = read_events(folder)
+        if not dry_run:
+            remove_temporary(folder / EVENTS)
+            for path in {*(folder / EVENTS).glob("*.fits")} - {
+                folder / EVENTS / str(one.targets) for one in events.files
+            }:
+                path.unlink()  # a process was killed before it wrote the file of events
         survey = _present_survey(survey, folder)
-        history = _History(survey, folder, events)
+        history = History(survey, folder, events)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
             table = renamed(table, columns_of_catalog(table, survey.provenance["catalog"].get("columns", "")))
             changes, n_known = target_changes(table, events, survey)
         else:
-            tiles, n_known, n_ignored = _tile_events(table, roles, history, enough, tile)
-            if any(event.state == ADDED for event in tiles):
+            dropped = {*history.states.dropped}
+            tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile)
+            states = history.states
+            if any(event.state == ADDED for event in tiles) or (states.added and dropped - {*states.dropped}):
                 names = ["tile", "ra", "dec", "position_angle", "pass"]
-                add_tiles(Tiling(QTable(survey.tiles[names], meta={})), history.states.added)  # checks all positions
+                first = Tiling(QTable({**survey.tiles[names], "state": np.full(len(survey.tiles), DROPPED)}))
+                add_tiles(first, states.added, states.dropped)  # checks all positions
         n_events = len(tiles) + (0 if changes is None else len(changes))
-        if n_events:
+        if n_events and not dry_run:
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
             events.append(tiles, changes, n_applied=history.n_applied, **numbers)
-    return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored}
+    return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
+
+
+def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[str]]:
+    """Return the identifiers of the tiles and targets that events change, by the kind of the change."""
+    found: dict[str, list[str]] = {}
+    for event in tiles:
+        found.setdefault(CHANGES[event.state], []).append(event.tile)
+        failed = event.failed if event.stated is None else event.stated
+        if failed:
+            found.setdefault("failed visits", []).extend(f"{event.tile}/{name}" for name in failed)
+    for row in () if targets is None else targets:
+        state = {1: "dropped", IS_ADDED: "added"}.get(int(row[IS_DROPPED]), "changed")
+        found.setdefault(f"targets {state}", []).append(str(row["target_id"]))
+    return found
 
 
 def _present_survey(survey: Survey, folder: Path) -> Survey:
     """Return the survey in a folder, which may have been planned again after ``survey`` was read."""
     is_present = survey.provenance.get("events") == read_request(folder).get("events")
     return survey if is_present and {*TABLES} <= {*read_index(folder)} else Survey.read(folder)
-
-
-class _History:
-    """What is known about the tiles of a survey before a table is recorded."""
-
-    def __init__(self, survey, folder: Path, events: Events):
-        self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
-        self._names = np.asarray(survey.tiles["tile"]).astype(str).tolist()
-        self.row_of = {name: row for row, name in enumerate(self._names)}
-        for row, event in self.states.added.items():
-            self.row_of.setdefault(event.tile, row)
-        self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
-        added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
-        self.n_targets = max(len(survey.outcomes), *added, 0)
-        self._known = read_index(folder)
-        about = survey.provenance.get("events", {"n_files": 0, "digest": ""})
-        self.n_applied = about["n_files"]
-        applied = events.first(self.n_applied)
-        if applied.digest != about["digest"]:
-            raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
-        planned = {one.observation for one in applied.of_tiles()}
-        dates = [one.date for one in self.states.attempts if one.observation in planned]
-        self.planned_until = max(dates, default="")
-        self.used_plans = {(one.row, one.plan) for one in events.of_tiles()}
-        self.past: dict[int, list[TileEvent]] = {}
-        """The events of each tile since the last one that canceled its events."""
-        for event in events.of_tiles():
-            if event.state == PLANNED:
-                self.past.pop(event.row, None)
-            self.past.setdefault(event.row, []).append(event)
-
-    def of(self, name: str) -> list[TileEvent]:
-        """Return the recorded observations of a tile."""
-        return self.states.of(self.row_of[name]) if name in self.row_of else []
-
-    def earlier(self, event: TileEvent) -> TileEvent | None:
-        """Return the recorded event of the same observation; None if there is none."""
-        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
-
-    def visits(self, event: TileEvent) -> np.ndarray:
-        """Return the visits of the plan with which a tile was observed."""
-        return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
-
-    def plan(self, row: int) -> str | None:
-        """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
-        entries = self._known.get(part_name(row))
-        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
-        return entries[-1][1] if is_planned else None
-
-    def place(self, row: int) -> np.ndarray:
-        """Return the right ascension, declination, position angle (deg) and pass of a tile."""
-        return np.array(self.states.added[row].place) if row in self.states.added else self._planned_place(row)
-
-    def _planned_place(self, row: int) -> np.ndarray:
-        one = self.survey.tiles[row]
-        return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
-
-
-def _tile_events(
-    table: Table, roles: dict, history: _History, enough: float, tile: object
-) -> tuple[list[TileEvent], int, int]:
-    """Return the new events of tiles, and the numbers of known events and of tiles without an observation."""
-    n = len(table)
-    names = (
-        np.full(n, str(tile)) if tile is not None else np.asarray(to_labels(table[roles["tile"]], "tile")).astype(str)
-    )
-    columns = columns_of(table, roles)
-    events, n_known, n_ignored = [], 0, 0
-    is_visit = [any(columns[one] and columns[one][k] for one in ("positioner", "target")) for k in range(n)]
-    has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
-    groups = groups_of(names.tolist(), columns["date"])
-    place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
-    for name, date in sorted(groups, key=lambda key: (key[1], place[key[0]])):
-        rows = groups[name, date]
-        whole = [k for k in rows if not is_visit[k]]
-        if len(whole) > 1:
-            raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, has_states=has_states)
-        if not state:
-            if len(rows) > len(whole):
-                _event(DONE, name, date, fraction, history, ())  # raises an error if this date is not possible
-                raise InputError(
-                    f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
-                    f"{'no state' if whole else 'only rows of visits'}"
-                )
-            n_ignored += 1
-            continue
-        event = _event(state, name, date, fraction, history, (table, roles, whole))
-        if state in (DONE, PARTLY, BAD):
-            event = event._replace(failed=_failures(columns, [k for k in rows if k not in whole], event, history))
-        if _is_known(event, history):
-            n_known += 1
-            continue
-        history.states.add(event)
-        events.append(event)
-    return events, n_known, n_ignored
-
-
-def _state_of(
-    columns: dict,
-    whole: list[int],
-    rows: list[int],
-    enough: float,
-    earlier: list[TileEvent],
-    date: str,
-    *,
-    has_states: bool,
-) -> tuple[str, float]:
-    """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
-
-    Without this row, the tile has the state that was recorded before for this date. If the tile was not begun before,
-    and the table has no states of tiles, the tile is done. ``earlier`` contains the recorded observations of the tile.
-    """
-    for row in rows:
-        if columns["state"] is not None and row not in whole and columns["state"][row]:
-            raise InputError(
-                f"the state of a tile must be in a row without a positioner or target, got {columns['state'][row]!r} "
-                "in a row with one; whether a visit was successful is stated by good"
-            )
-    if not whole:
-        known = [(one.state, one.fraction) for one in earlier if one.date == date]
-        is_begun = any(one.state in (DONE, PARTLY) for one in earlier)
-        return known[-1] if known else ("" if is_begun or has_states else DONE, 1.0)
-    row = whole[0]
-    fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
-    if not 0 <= fraction <= MOST_FRACTION:
-        raise InputError(f"fraction must be a number from 0 to {MOST_FRACTION}, where 1 is complete, got {fraction:g}")
-    if columns["state"] is not None:
-        return columns["state"][row], fraction
-    good = True if columns["good"] is None else columns["good"][row]
-    if good is None:
-        raise InputError("good must be given for every tile, got a missing value")
-    if not good or fraction == 0:
-        return BAD, fraction
-    return (DONE if fraction >= enough else PARTLY), fraction
-
-
-def _event(state: str, name: str, date: str, fraction: float, history: _History, source: tuple) -> TileEvent:
-    """Return the event of a tile without failed positioners, or raise an error if it is not possible."""
-    states = history.states
-    if state == ADDED:
-        return _addition(name, history, *source)
-    if name not in history.row_of:
-        raise InputError(
-            f"tile must be a tile of the survey, such as {next(iter(history.row_of), 'none')}, got {name!r}"
-        )
-    row = history.row_of[name]
-    if state == PLANNED:
-        return TileEvent(row, name, PLANNED, date, 0.0)
-    done = [one for one in states.of(row) if one.state == DONE]
-    if state == DROPPED:
-        if done:
-            raise InputError(f"tile {name} must not be dropped, because it was observed{_on(done[0].date)}")
-        return TileEvent(row, name, DROPPED, date, 0.0)
-    earlier = [one for one in states.of(row) if one.date == date]
-    if earlier and (date or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
-        others = [one for one in done if one.observation != earlier[-1].observation]
-        if state == DONE and others:
-            raise InputError(
-                f"tile {name} must be observed only once, got its observations{_on(date)} and{_on(others[0].date)}; "
-                "record one of them as bad"
-            )
-        return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
-    if done:
-        raise InputError(
-            f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
-            f"{date or 'no date'!r}"
-        )
-    plan = history.plan(row)
-    if plan is None:
-        raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-    is_older = (row, plan) in history.used_plans  # the tile was observed before with this plan
-    if history.planned_until and date <= history.planned_until and not is_older:
-        raise InputError(
-            f"the date of the observation of tile {name} must be later than {history.planned_until}, because its plan "
-            f"was made with the events up to this date, got {date or 'no date'}; record each night before the survey "
-            "is planned again"
-        )
-    return TileEvent(row, name, state, date, fraction, plan)
-
-
-def _addition(name: str, history: _History, table: Table, roles: dict, whole: list[int]) -> TileEvent:
-    """Return the event of a new tile, or of a tile with a new position."""
-    lacking = [one for one in ("ra", "dec") if one not in roles]
-    if lacking:
-        raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
-    if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
-        raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
-    check_fits_text({"names of added tiles": [name]}, "omit these tiles")
-    row, when = history.row_of.get(name), when_of(history.survey.tiles)
-    if row is None and when is not None:
-        raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")
-    place = [] if row is None else history.place(row).tolist()
-    for k, one in enumerate(("ra", "dec", "position_angle", "pass")):
-        if one in roles:
-            place[k : k + 1] = [float(to_numbers(table[roles[one]][whole[:1]], one)[0])]
-        elif row is None:
-            place.append(1.0 if one == "pass" else 0.0)
-    if not (np.isfinite(place[:3]).all() and -90 <= place[1] <= 90):
-        raise InputError(f"the position of tile {name} must be finite angles, got {short(place[:3])}")
-    if not (abs(place[3]) < MOST_WHOLE and place[3] == int(place[3])):
-        raise InputError(f"the pass of tile {name} must be a whole number, got {place[3]:g}")
-    place[0], place[3] = place[0] % 360, int(place[3])
-    if row is None:
-        row = history.row_of[name] = history.n_tiles
-        history.n_tiles += 1
-    elif np.array_equal(history.place(row), place):
-        return history.states.added.get(row, TileEvent(row, name, ADDED, place=tuple(place)))
-    elif history.states.of(row):
-        raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
-    return TileEvent(row, name, ADDED, place=tuple(place))
-
-
-def _is_known(event: TileEvent, history: _History) -> bool:
-    """Return whether an equal event was recorded before, and warn if it was corrected since then."""
-    states = history.states
-    if event.state == ADDED:
-        return event.row < history.n_tiles_before and np.array_equal(history.place(event.row), event.place)
-    if event.state == DROPPED:
-        return event.row in states.dropped
-    if event.state == PLANNED:
-        return not states.of(event.row) and event.row not in states.dropped
-    known = event in history.past.get(event.row, ())
-    if known and event not in states.of(event.row):
-        warn(
-            f"the observation of tile {event.tile}{_on(event.date)} was corrected after this record, and the "
-            "correction is kept; to undo it, record the state planned for this tile, and then its observations"
-        )
-    return known
-
-
-def _failures(columns: dict, rows: list[int], event: TileEvent, history: _History) -> dict[str, str]:
-    """Return the positioners that failed, with the reason for each of them, including those recorded before."""
-    failed = dict((history.earlier(event) or event).failed or {})
-    if not rows:
-        return failed
-    visits = history.visits(event)
-    ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
-    ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
-    positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
-    pairs = {*zip(ids["positioner"], ids["target"], strict=True)}
-    for k in rows:
-        what = "positioner" if columns["positioner"] and columns["positioner"][k] else "target"
-        name = columns[what][k]
-        if name not in positioner_of[what]:
-            raise InputError(f"{what} must be a {what} of tile {event.tile} with a visit, got {name!r}")
-        if what == "target" and ids["target"].count(name) > 1:
-            raise InputError(
-                f"positioner must be given for target {name} of tile {event.tile}, because "
-                f"{ids['target'].count(name)} targets of this tile have this identifier, got only the target"
-            )
-        other = columns["target"][k] if what == "positioner" and columns["target"] else ""
-        if other and (name, other) not in pairs:
-            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
-        if columns["good"] is None or not columns["good"][k]:
-            failed[positioner_of[what][name]] = columns["reason"][k]
-        else:
-            failed.pop(positioner_of[what][name], None)
-    return dict(sorted(failed.items()))
-
-
-def _on(date: str) -> str:
-    return f" on {date}" if date else ""

@@ -40,7 +40,8 @@ class TileStates:
 
     def __init__(self, events: Iterable[TileEvent]):
         self._attempts: dict[int, dict[tuple, TileEvent]] = {}
-        self.dropped: set[int] = set()
+        self.dropped: dict[int, str] = {}
+        """Rows of dropped tiles, with the date; without a date, the last date that was recorded before."""
         self.added: dict[int, TileEvent] = {}
         # date of each observation; for observations without a date, the last date that was recorded before
         self._order: dict[tuple, str] = {}
@@ -49,13 +50,19 @@ class TileStates:
             self.add(event)
 
     def add(self, event: TileEvent) -> None:
-        """Add an event, which replaces an earlier event of the same observation."""
+        """Add an event, which replaces an earlier event of the same observation.
+
+        A dropped tile remains dropped after a report on an earlier observation, or on an observation until this date.
+        """
+        if event.state == DROPPED:
+            if not event.date or all(one.date <= event.date for one in self.of(event.row)):
+                self.dropped[event.row] = event.date or self._latest
+            return
+        is_late = event.observation in self._order or "" < event.date <= self.dropped.get(event.row, "")
+        if event.state in (ADDED, PLANNED) or not is_late:
+            self.dropped.pop(event.row, None)
         if event.state == ADDED:
             self.added[event.row] = event
-            return
-        self.dropped.discard(event.row)
-        if event.state == DROPPED:
-            self.dropped.add(event.row)
         elif event.state == PLANNED:
             for key in self._attempts.pop(event.row, ()):
                 del self._order[key]
@@ -144,11 +151,11 @@ class Replay:
 
     def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
         """Add an observation, and the visits of its plan."""
-        number = len(self.attempts)
+        number, content = len(self.attempts), events.plan(event.row, event.plan)
         self.attempts.append(event)
         if event.state != DONE:  # nothing was observed, or the observation will be continued
             return
-        visits, cards = read_fits_bytes(events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+        visits, cards = read_fits_bytes(content, f"the plan of tile {event.tile}")
         _check_ids(event, visits, ids)
         target, good, lost = visits_of(event, visits)
         self.made[target[good]] += self.made[target[good]] < MOST_VISITS
@@ -197,6 +204,8 @@ def replay(events: Events, states: TileStates, ids: np.ndarray) -> Replay:
     attempts, n_targets = states.attempts, len(ids)
     found = _read_checkpoint(events.folder, attempts, n_targets) or Replay(n_targets)
     found.extend(n_targets)
+    for event in attempts[: len(found.attempts)]:
+        events.plan(event.row, event.plan)  # the checkpoint does not depend on the files, which can be damaged
     for event in attempts[len(found.attempts) :]:
         found.add(event, events, ids)
     return found

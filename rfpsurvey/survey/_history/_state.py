@@ -13,7 +13,14 @@ from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.survey._history._catalogs import columns_of, digest_of, in_memory, is_same, is_science
+from rfpsurvey.survey._history._catalogs import (
+    check_first_catalog,
+    columns_of,
+    digest_of,
+    in_memory,
+    is_same,
+    is_science,
+)
 from rfpsurvey.survey._history._events import (
     DONE,
     DROPPED,
@@ -58,7 +65,7 @@ class SurveyState:
     dropped : ndarray of bool, shape (n_targets,)
         Whether each target was dropped.
     given : tuple
-        The catalog of the first plan, and the requested visits that were given with it.
+        The catalog of the first plan, the requested visits that were given with it, and the required targets.
 
     Examples
     --------
@@ -129,13 +136,15 @@ class SurveyState:
             raise InputError(f"{folder} holds a survey with cadences, which cannot be continued from what was observed")
         if visits is None and not rule.record:
             _check_visits(_io.to_path(folder), catalog)
+        check_first_catalog(_io.to_path(folder), catalog, visits, rule)
         until = None if until is None else to_date(until)
-        return cls._of(read_events(_io.to_path(folder)), (catalog, visits), rule, until)
+        required = read_request(_io.to_path(folder)).get("required_ids")
+        return cls._of(read_events(_io.to_path(folder)), (catalog, visits, required), rule, until)
 
     @classmethod
     def _of(cls, events: Events, given: tuple, rule: VisitRule, until: str | None, *, visited: bool = True):
         """Return the state after events; without ``visited``, as if no visit had been made or had failed."""
-        states, (catalog, visits) = TileStates(events.of_tiles(until)), given
+        states, (catalog, visits, required) = TileStates(events.of_tiles(until)), given
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
             usual = 1 if visits is None or np.ndim(visits) else int(visits)
@@ -150,10 +159,14 @@ class SurveyState:
         wanted, priority = rule.apply(
             {**columns, "observed": made, "failed": replayed.failed, "last": last_results(replayed)}
         )
-        left = np.where(dropped | (wanted < made), made, wanted) - made
+        if required is not None:  # at least one visit of each required target is requested
+            is_required = np.isin(np.asarray(columns["id"]).astype(str), required)
+            wanted = np.where(is_required & (wanted == 0) & ~dropped, np.uint8(1), wanted)
+        wanted = np.where(dropped, np.minimum(wanted, made), wanted)
+        left = np.where(wanted < made, np.uint8(0), wanted - made)
         if priority is not columns["priority"]:
             catalog = replace(in_memory(catalog, "rules that change priorities"), priority=priority)
-        own = made + left, made, replayed.failed, left
+        own = wanted, made, replayed.failed, left
         return cls(catalog, *own, events, rule, until, replayed, states, dropped, given)
 
     def before(self, n: int) -> "SurveyState":
@@ -333,7 +346,8 @@ class SurveyState:
             raise InputError(
                 f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
             )
-        tiling = add_tiles(tiling, self.states.added) if self.states.added else tiling
+        if self.states.added:
+            tiling = add_tiles(tiling, self.states.added, TileStates(self.events.of_tiles()).dropped)
         names = np.asarray(tiling.table["tile"]).astype(str).tolist()
         for event in self.events.of_tiles():
             if names[event.row] != event.tile:

@@ -11,12 +11,16 @@ from astropy.time import Time
 
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._roles import to_kinds
-from rfpsurvey._units import to_flags, to_labels, to_vectors, to_visits
+from rfpsurvey._units import to_flags, to_labels, to_plain, to_vectors, to_visits
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, listed, number_of, warn
+from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._events import Events, to_date
+from rfpsurvey.survey._work import VISITS
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
+IS_ADDED = 2
+"""Value in the column ``dropped`` of targets with the state ``added``."""
 IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
@@ -47,8 +51,9 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
         )
-    known = (*NUMBERS, *TEXTS, "visits", "state", "dropped")
-    if not {*known} & {*lower}:
+    known, kinds = (*NUMBERS, *TEXTS, "visits", "state", "dropped"), _kinds_of(survey)
+    further = {one: kind for one, kind in kinds.items() if one not in known and one.lower() in lower}
+    if not further and not {*known} & {*lower}:
         raise InputError(
             f"a table of targets must have one of the columns {listed(known)}, got {listed(table.colnames)}"
         )
@@ -62,7 +67,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
     dates = [lower[one] for one in ("date", "night") if one in lower]
-    used = {name, *dates, *(lower[one] for one in known if one in lower)}
+    used = {name, *dates, *(lower[one] for one in known if one in lower), *(lower[one.lower()] for one in further)}
     if {*table.colnames} - used:
         warn(f"columns that are not used: {listed(one for one in table.colnames if one not in used)}")
     ids, table = values, table[first]  # events do not depend on the order of rows
@@ -81,37 +86,100 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     if "kind" in changes.colnames:
         given = np.asarray(changes["kind"])
         changes["kind"] = np.where(given == "", "", to_kinds(np.where(given == "", "science", given), "kind"))
+    for one, kind in further.items():
+        changes[one] = _further(table[lower[one.lower()]], one, kind, survey.provenance["units"].get(one))
     visits = to_numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
     to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
     changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)
     changes[DROPPED] = _dropped(table, lower)
     changes["date"] = [to_date(one) for one in table[dates[0]]] if dates else [""] * len(ids)
     check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
-    _check_numbers(changes, new, survey, ids)
+    _check_numbers(changes, new, "priority" in kinds, ids)
+    lacking = [one for one in kinds if one not in known and not (one in further and _given(changes[one])[new].all())]
+    unknown = [one for one in survey.provenance.get("rule_columns", ()) if one in lacking and one not in further]
+    if len(new) and unknown:
+        raise InputError(
+            f"a table with added targets must have the column {unknown[0]}, which a rule of the survey uses, got "
+            f"{listed(table.colnames)}"
+        )
+    if len(new) and lacking:
+        warn(f"the values of {listed(lacking)} are not recorded for all added targets; rules treat them as missing")
+    first = events.target_tables[0][0] if events.target_tables else n
+    placed = changes["ra"] if "ra" in changes.colnames else np.full(len(ids), np.nan)
+    if not {"state", "dropped"} & {*lower} and (np.isfinite(placed) & (rows < first)).any():
+        raise InputError(
+            "a table of targets must have a column state if it contains positions of targets of the first plan, got "
+            f"{listed(table.colnames)}, which can be a catalog; omit the positions, or add the column state"
+        )
     known = _known(changes, events)
     return changes[~known], int(known.sum())
 
 
 def _known(changes: QTable, events: Events) -> np.ndarray:
-    """Return which rows contain only values that were already recorded, and that were not changed since then."""
+    """Return which rows contain only values that were already recorded, and warn of those that were changed since then.
+
+    Rows without a date that were recorded before change a target again, except if they add the target.
+    """
     rows, known = np.asarray(changes[ROW]), np.ones(len(changes), dtype=bool)
     for name in {*changes.colnames} - {ROW, ID, "date"}:
         values = np.asarray(changes[name])
         last = values.copy()
-        last[:] = MISSING.get(last.dtype.kind, -1)
+        last[:] = 0 if name == DROPPED else MISSING.get(last.dtype.kind, -1)
         for _, table in events.target_tables:
             if name in table.colnames:
                 _, own, other = np.intersect1d(rows, table[ROW], return_indices=True)
                 found = np.asarray(table[name])[other]
                 last = last.astype(np.result_type(last, found))
                 last[own[_given(found)]] = found[_given(found)]
+        if name == DROPPED:
+            values, last = (np.where(one == IS_ADDED, 0, one) for one in (values, last))
         known &= ~_given(values) | (values == last)
-    return known
+    repeated = np.zeros(len(changes), dtype=bool)
+    for _, table in events.target_tables:
+        _, own, other = np.intersect1d(rows, table[ROW], return_indices=True)
+        same = np.asarray(changes["date"])[own] == np.asarray(table["date"])[other]
+        for name in {*changes.colnames} - {ROW, ID, "date"}:
+            values = np.asarray(changes[name])[own]
+            same &= ~_given(values) | (values == np.asarray(table[name])[other] if name in table.colnames else False)
+        repeated[own] |= same
+    old = repeated & ~known & ((np.asarray(changes["date"]) != "") | (np.asarray(changes[DROPPED]) == IS_ADDED))
+    if old.any():
+        warn(
+            f"{number_of(int(old.sum()), 'target')}, such as {changes[ID][old][0]}, were changed after this record, "
+            "and the changes are kept; to undo them, record the target with another date, or with the state planned"
+        )
+    return known | old
 
 
 def _given(values: np.ndarray) -> np.ndarray:
     """Return which values of a column are not missing."""
-    return {"f": np.isfinite, "U": lambda texts: texts != ""}.get(values.dtype.kind, lambda codes: codes >= 0)(values)
+    values = np.asarray(values)
+    return {"f": np.isfinite, "U": lambda texts: texts != ""}.get(values.dtype.kind, lambda codes: codes != -1)(values)
+
+
+def _kinds_of(survey) -> dict[str, str]:
+    """Return the kinds of the data types of the optional columns of the catalog of a survey, by name."""
+    if "target_columns" in survey.provenance:
+        return survey.provenance["target_columns"]
+    visits = next(iter(survey), QTable())  # earlier versions did not write the columns
+    return {
+        name: visits[name].dtype.kind for name in visits.colnames if name not in {*VISITS, "tile"} - {*PLANNED_COLUMNS}
+    }
+
+
+def _further(column, name: str, kind: str, unit: str | None) -> np.ndarray:
+    """Return the values of a further column of the catalog, of the kind that it has there; -1 for missing integers."""
+    missing = np.ma.getmaskarray(np.ma.asarray(getattr(column, "value", column)))
+    if kind == "U":
+        return np.char.strip(np.where(missing, "", np.asarray(to_plain(column, name)).astype(str)))
+    if kind == "b":
+        return np.where(missing, -1, to_flags(column, name)).astype(np.int16)
+    if kind in "iu" and np.asarray(column).dtype.kind in "iu":
+        return np.where(missing, -1, np.asarray(column).astype(np.int64))
+    values = to_numbers(getattr(column, "value", column) if unit is None else column, name, unit and u.Unit(unit))
+    if kind in "iu" and (values[np.isfinite(values)] % 1).any():
+        raise InputError(f"{name} must be whole numbers, as in the catalog, got {values[values % 1 > 0][0]:g}")
+    return np.where(np.isfinite(values), values, -1).astype(np.int64) if kind in "iu" else values
 
 
 def apply_changes(
@@ -148,9 +216,15 @@ def apply_changes(
         old = np.full(len(catalog), DEFAULTS[name]) if old is None else old
         changed[name] = old.astype(np.result_type(old, values)) if name in TEXTS else old.copy()
         changed[name][rows[given]] = values[given]  # of several values for a target, the last one remains
+    for name in () if catalog.extra is None else {*changes.colnames} & {*catalog.extra.colnames}:
+        column, values = catalog.extra[name], np.asarray(changes[name])
+        old, given = np.array(getattr(column, "value", column)), _given(values)
+        old = old.astype(np.result_type(old, values)) if old.dtype.kind == "U" else old
+        old[rows[given]] = values[given]
+        changed.setdefault("extra", catalog.extra.copy())[name] = _like(old, column)
     catalog = replace(catalog, numbered=False, **changed) if changed else catalog
     state = np.asarray(changes[DROPPED])
-    dropped[rows[state >= 0]] = state[state >= 0] > 0
+    dropped[rows[state >= 0]] = state[state >= 0] == 1
     return ChangedTargets(catalog, dropped)
 
 
@@ -160,7 +234,8 @@ def _stacked(tables: list[QTable]) -> QTable:
     for name in dict.fromkeys(
         name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)
     ):
-        missing = "" if name in (*TEXTS, "date") else np.nan
+        kinds = [table[name].dtype.kind for table in tables if name in table.colnames]
+        missing = MISSING.get(kinds[0] if kinds else "U" if name in TEXTS else "f", -1)
         columns[name] = np.concatenate(
             [np.asarray(one[name]) if name in one.colnames else np.full(len(one), missing) for one in tables]
         )
@@ -198,12 +273,11 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     return found, len(known)
 
 
-def _check_numbers(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) -> None:
+def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np.ndarray) -> None:
     """Raise an error if numbers are not valid, or if new targets lack a position or columns that other targets have."""
     for name in {*NUMBERS} & {*changes.colnames}:
         if np.isinf(np.asarray(changes[name])).any():
             raise InputError(f"{name} must be finite numbers, got inf")
-    has_priority = bool(len(survey)) and "priority" in next(iter(survey)).colnames
     if not has_priority and "priority" in changes.colnames:
         raise InputError("priority must be recorded only for a survey of targets with priorities, got one without")
     if not len(new):
@@ -224,10 +298,10 @@ def _check_numbers(changes: QTable, new: np.ndarray, survey, ids: np.ndarray) ->
         raise InputError(f"dec must lie between -90 and 90 deg, got {dec[np.abs(dec) > 90][0]:g}")
 
 
-def to_numbers(column, name: str) -> np.ndarray:
-    """Return the values of a column in degrees, mas / yr or without a unit; NaN for missing values."""
-    unit = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
-    unit, own = unit.get(name), getattr(column, "unit", None)
+def to_numbers(column, name: str, unit: u.UnitBase | None = None) -> np.ndarray:
+    """Return the values of a column in a unit, by default degrees, mas / yr or no unit; NaN for missing values."""
+    usual = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
+    unit, own = unit or usual.get(name), getattr(column, "unit", None)
     try:
         values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan)
     except (TypeError, ValueError) as error:
@@ -241,7 +315,7 @@ def to_numbers(column, name: str) -> np.ndarray:
 
 
 def _dropped(table: Table, lower: dict) -> np.ndarray:
-    """Return 1 for targets that are dropped, 0 for targets that are observed again, and -1 for others."""
+    """Return 1 for dropped targets, 0 for targets that are observed again, 2 for added ones, and -1 for others."""
     if "dropped" in lower:
         column = table[lower["dropped"]]
         missing = np.ma.getmaskarray(np.ma.asarray(column))
@@ -251,7 +325,7 @@ def _dropped(table: Table, lower: dict) -> np.ndarray:
     if "state" not in lower:
         return np.full(len(table), -1, dtype=np.int16)
     words = np.ma.filled(np.ma.asarray(table[lower["state"]]).astype(str), "").tolist()
-    codes = {"dropped": 1, "planned": 0, "added": -1, "": -1}
+    codes = {"dropped": 1, "planned": 0, "added": IS_ADDED, "": -1}
     for word in words:
         if word not in codes:
             raise InputError(f"the state of a target must be dropped, planned or added, got {word!r}")
@@ -313,6 +387,10 @@ def _extended(column, n: int):
     """Return a column with n missing values at the end."""
     values = np.asarray(getattr(column, "value", column))
     missing = MISSING.get(values.dtype.kind, -1)
-    values = np.concatenate([values, np.full(n, missing).astype(values.dtype)])
+    return _like(np.concatenate([values, np.full(n, missing).astype(values.dtype)]), column)
+
+
+def _like(values: np.ndarray, column) -> np.ndarray | u.Quantity:
+    """Return values with the unit of a column."""
     unit = getattr(column, "unit", None)
     return values if unit is None else values * unit

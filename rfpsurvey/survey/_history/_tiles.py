@@ -1,15 +1,20 @@
 """Tiles that events add or move."""
 
+from collections.abc import Collection
+
 import astropy.units as u
 import numpy as np
 from astropy.table import vstack
 
-from rfpsurvey.survey._history._events import TileEvent
+from rfpsurvey.survey._history._events import DROPPED, TileEvent
 from rfpsurvey.tiling import Tiling
 
 
-def add_tiles(tiling: Tiling, added: dict[int, TileEvent]) -> Tiling:
-    """Return a tiling with the tiles that events added or moved; ``added`` contains the event of each row."""
+def add_tiles(tiling: Tiling, added: dict[int, TileEvent], dropped: Collection[int]) -> Tiling:
+    """Return a tiling with the tiles that events added or moved; ``added`` contains the event of each row.
+
+    Another tile can have the position of a tile in one of the rows ``dropped``.
+    """
     table, names = tiling.table.copy(), np.asarray(tiling.table["tile"])
     for row, event in sorted(added.items()):
         ra, dec, angle, number = event.place
@@ -24,4 +29,5 @@ def add_tiles(tiling: Tiling, added: dict[int, TileEvent]) -> Tiling:
             one[name] = value
         table = vstack([table, one], metadata_conflicts="silent")
     table.meta.pop("summary", None)
+    table["state"] = np.where(np.isin(np.arange(len(table)), [*dropped]), DROPPED, "")
     return Tiling(table)

@@ -1,6 +1,7 @@
 """Tables of changes to targets with the columns of a catalog, and catalogs that changed after the first plan."""
 
 import shutil
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -11,7 +12,7 @@ from astropy.time import Time
 from living import CENTER, events, instrument, targets, tiling
 
 import rfpsurvey as rs
-from rfpsurvey.survey import SurveyState, check_first_catalog, survey_status
+from rfpsurvey.survey import SurveyState, survey_status
 
 
 @pytest.fixture
@@ -83,10 +84,10 @@ def test_a_catalog_that_changed_is_refused(tmp_path, replanned):
     survey = rs.plan_survey(sky, instrument(), tiling(), **options)
     if replanned:
         rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
-    check_first_catalog(SurveyState.read(tmp_path / "survey", sky))
+    SurveyState.read(tmp_path / "survey", sky)
     other = rs.Catalog(sky.coord, id=sky.id, priority=-sky.priority, visits=sky.visits)
     with pytest.raises(rs.InputError, match="must be that of the first plan, with 60 targets, .* record a table"):
-        check_first_catalog(SurveyState.read(tmp_path / "survey", other))
+        SurveyState.read(tmp_path / "survey", other)
 
 
 def test_an_interrupted_replan_is_not_called_damaged(ranked, tmp_path):
@@ -115,3 +116,64 @@ def test_identifiers_of_digits_and_dates_with_a_time_zone(tmp_path):
     assert state.kept[0].date == "2026-01-03"
     with pytest.raises(rs.InputError, match="must be text, as in the catalog, got numbers"):
         survey.record(events(target=12, visits=5))
+
+
+CHANGES = {
+    "reordered": lambda table: table[::-1],
+    "foreign": lambda table: QTable({**table, "id": table["id"] + 5000}),
+    "moved": lambda table: QTable({**table, "dec": table["dec"] + 0.01 * u.deg}),
+    "other priorities": lambda table: QTable({**table, "priority": -table["priority"]}),
+}
+
+
+@pytest.mark.parametrize("change", [*CHANGES])
+@pytest.mark.parametrize("replanned", [False, True])
+def test_visits_are_not_attributed_to_the_targets_of_another_catalog(tmp_path, change, replanned):
+    """Regression: once the state of a survey had a checkpoint, other catalogs with as many targets were accepted."""
+    sky = targets()
+    table = QTable({"id": sky.id, "ra": sky.coord.ra, "dec": sky.coord.dec, "priority": sky.priority})
+    sky = rs.Catalog.from_table(table)
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    if replanned:
+        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
+        assert (survey.folder / "events/state.npz").exists()
+    observed = survey.state(sky).observed.sum()
+    # the types of columns, which depend on the format of the file, do not matter
+    table["id"], table["priority"] = table["id"].astype(np.int32), table["priority"].astype(np.float32)
+    assert survey.state(rs.Catalog.from_table(table)).observed.sum() == observed > 0
+    with pytest.raises(rs.InputError, match="the catalog must be that of the first plan, .* got another catalog"):
+        survey.state(rs.Catalog.from_table(CHANGES[change](table)))
+
+
+def test_the_catalog_is_compared_at_its_own_epoch_and_without_the_rule(tmp_path):
+    """Regression: a survey with an epoch was compared with the targets at another epoch."""
+    coord = targets().coord
+    moving = SkyCoord(
+        coord.ra, coord.dec, pm_ra_cosdec=np.full(60, 9.0) * u.mas / u.yr, pm_dec=np.ones(60) * u.mas / u.yr
+    )
+    sky = rs.Catalog(moving, epoch=2016.0)
+    rule = rs.survey.VisitRule(visits=2, table=Table({"observed": [0], "priority": [3.0]}))
+    options = {"allocator": "nearest", "folder": tmp_path / "survey", "epoch": 2026.5}
+    survey = rs.plan_survey(sky, instrument(), tiling(), visits=rule, **options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    state = survey.state(sky, rule=rule)
+    again = rs.plan_survey(sky, instrument(), tiling(), visits=state, resume=True, **options)
+    assert survey_status(again, again.state(sky, rule=rule))["n_observed"][0] == state.observed.sum() > 0
+    with pytest.raises(rs.InputError, match="the catalog must be that of the first plan"):
+        again.state(sky.at_epoch(2026.5), rule=rule)
+
+
+def test_further_columns_are_compared_when_the_survey_is_planned_again(tmp_path):
+    """Further columns do not matter for the state, but new plans need those of the first plan."""
+    sky = targets()
+    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
+    full = replace(sky, extra=QTable({"g": np.full(60, 15.0)}))
+    survey = rs.plan_survey(full, instrument(), tiling(), **options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    state = survey.state(sky)
+    assert (state.observed == survey.state(full).observed).all()
+    with pytest.raises(rs.InputError, match="extra differs"):
+        rs.plan_survey(sky, instrument(), tiling(), visits=state, resume=True, **options)
+    assert len(rs.plan_survey(full, instrument(), tiling(), visits=survey.state(full), resume=True, **options)) == 6

@@ -90,14 +90,14 @@ def test_a_dropped_tile_needs_a_plan_before_it_is_observed(case, survey):
     survey.record(events(tile=13, state="dropped"))
     again = replan(case, survey)
     before = content(survey.folder)
-    for table in (events(tile=13), events(tile=13, positioner=1)):
+    for table in (events(tile=13, state="done"), events(tile=13, positioner=1)):
         with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
             again.record(table)
     assert content(survey.folder) == before
     again.record(events(tile=13, state="planned"))
     with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
-        again.record(events(tile=13))
-    assert replan(case, again).record(events(tile=13))["n_events"] == 1
+        again.record(events(tile=13, state="done"))
+    assert replan(case, again).record(events(tile=13, state="done"))["n_events"] == 1
 
 
 @pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
@@ -125,20 +125,20 @@ def test_a_moved_tile_needs_a_plan_before_it_is_observed(case, survey):
     moved = events(tile=13, state="added", ra=120.05, dec=30.05)
     assert survey.record(moved)["n_events"] == 1
     with pytest.raises(rs.InputError, match="tile 13 has no plan yet; plan the survey again"):
-        survey.record(events(tile=13))
+        survey.record(events(tile=13, state="done"))
     again = replan(case, survey)
     assert again.record(moved)["n_known"] == 1
     assert again.tiles["ra"][2].value == 120.05
-    assert again.record(events(tile=13))["n_events"] == 1
+    assert again.record(events(tile=13, state="done"))["n_events"] == 1
 
 
 @pytest.mark.parametrize("angle", [0.0, 370.0, -20.0])
 def test_an_added_tile_is_planned_and_observed(case, survey, angle):
     new = events(tile=20, state="added", ra=-240.0, dec=30.05, position_angle=angle)
     survey.record(new)
-    assert survey.record(new) == {"n_events": 0, "n_known": 1, "n_ignored": 0}
+    assert survey.record(new) == {"n_events": 0, "n_known": 1, "n_ignored": 0, "changes": {}}
     with pytest.raises(rs.InputError, match="tile 20 has no plan yet; plan the survey again"):
-        survey.record(events(tile=20))
+        survey.record(events(tile=20, state="done"))
     again = replan(case, survey)
     assert len(again) == 7
     assert again.record(new)["n_known"] == 1
@@ -150,7 +150,7 @@ def test_an_added_tile_is_planned_and_observed(case, survey, angle):
 def test_a_tile_in_its_present_place_is_not_moved(case, survey):
     row = survey.tiles[1]
     same = events(tile=12, state="added", ra=row["ra"].value, dec=row["dec"].value)
-    assert survey.record(same) == {"n_events": 0, "n_known": 1, "n_ignored": 0}
+    assert survey.record(same) == {"n_events": 0, "n_known": 1, "n_ignored": 0, "changes": {}}
 
 
 def test_an_unfinished_plan_is_not_recorded(case, survey, monkeypatch):

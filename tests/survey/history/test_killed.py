@@ -2,6 +2,7 @@
 
 import multiprocessing
 import os
+import shutil
 import time
 
 import numpy as np
@@ -50,7 +51,7 @@ def test_killed_at_random_moments(tmp_path, rng, n):
         begin = time.perf_counter()
         function(tmp_path / "whole", *arguments)
         seconds[k], expected[k] = time.perf_counter() - begin, content(tmp_path / "whole")
-    assert len(expected[8]) == 20
+    assert len(expected[8]) == 21
     killed, run = 0, 0
     while killed < n:
         run += 1
@@ -83,8 +84,11 @@ def test_equal_changes_of_targets_are_known(tmp_path):
     survey = rs.Survey.read(tmp_path / "survey")
     new = events(target=[1001, 7], visits=[2, 3], ra=[np.nan, 120.0], dec=[np.nan, 30.0], priority=[np.nan, 1.0])
     assert survey.record(new)["n_events"] == 2
-    assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0}
-    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {"n_events": 1, "n_known": 1, "n_ignored": 0}
+    assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0, "changes": {}}
+    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {
+        **{"n_events": 1, "n_known": 1, "n_ignored": 0},
+        "changes": {"targets changed": ["1002"]},
+    }
     assert survey.record(events(target=1001, visits=1))["n_events"] == 1
     assert survey.record(events(target=1001, visits=2))["n_events"] == 1
     assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
@@ -92,3 +96,18 @@ def test_equal_changes_of_targets_are_known(tmp_path):
     assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
     assert survey.record(events(target=[1001], category=["a"]))["n_known"] == 1
     assert survey.state(CASE[0]).catalog.visits[[1, 2, 60]].tolist() == [2, 2, 3]
+
+
+@pytest.mark.parametrize("table", [events(tile=11, date="2026-01-03"), events(target=1001, visits=2)])
+def test_files_that_a_killed_record_left_are_removed(tmp_path, table):
+    """Regression: temporary files and tables of targets without events remained."""
+    plan(tmp_path / "survey", True)
+    survey = rs.Survey.read(tmp_path / "survey")
+    survey.record(events(target=1002, visits=2))
+    shutil.copytree(tmp_path / "survey", tmp_path / "other")
+    for name in ("events/.rfpsurvey-0123456789abcdef", f"events/000002-{'0' * 64}.fits"):
+        (survey.folder / name).write_bytes(b"SIMPLE")
+    survey.record(table)
+    rs.Survey.read(tmp_path / "other").record(table)
+    names = [sorted(path.name for path in (tmp_path / one / "events").iterdir()) for one in ("survey", "other")]
+    assert names[0] == names[1]

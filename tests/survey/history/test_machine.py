@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from living import N, content, differences, events, instrument, part, sha, targets, tiling
-from naive_history import NaiveHistory
+from naive_history import NaiveHistory, statements
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, VisitRule
@@ -26,6 +26,11 @@ FRACTIONS = {"done": 1.0, "partly": 0.5, "bad": 0.0}
 
 class InterruptedPlanError(Exception):
     pass
+
+
+def date_of(day):
+    """Return the date of a day, which is counted from the beginning of the year."""
+    return f"2026-01-{day:02d}" if day < 32 else f"2026-02-{day - 31:02d}"
 
 
 class History(RuleBasedStateMachine):
@@ -44,6 +49,8 @@ class History(RuleBasedStateMachine):
         self.naive = NaiveHistory()
         self.day, self.planned_day = 1, 0
         self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
+        self.tables, self.applied = [], set()
+        self.plans = {name: (part(self.folder, row), "") for row, name in enumerate(self.names)}
         self.unplanned, self.frozen = set(), {}
         self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
         self.kind = dict.fromkeys(self.visits, "science")
@@ -57,7 +64,9 @@ class History(RuleBasedStateMachine):
 
     def plan(self, state=None, **options):
         options = {"folder": self.folder, "resume": state is not None, **options}
-        with warnings.catch_warnings():
+        clock = np.datetime64(date_of(self.day if state is not None else 1), "s").astype(int)
+        with warnings.catch_warnings(), pytest.MonkeyPatch.context() as patch:
+            patch.setenv("SOURCE_DATE_EPOCH", str(clock))
             warnings.simplefilter("ignore", rs.RfpsurveyWarning)
             return rs.plan_survey(self.sky, INSTRUMENT, TINY, allocator=self.allocator, visits=state, rng=1, **options)
 
@@ -85,9 +94,8 @@ class History(RuleBasedStateMachine):
     )
     def observe(self, tile, state, late, fails, by_target, by_fraction, order):
         name, self.day = self.names[tile % len(self.names)], self.day + 1
-        day = self.planned_day + 1 if late else self.day
-        date = f"2026-01-{day:02d}" if day < 32 else f"2026-02-{day - 31:02d}"
-        self.observe_on(name, date, day > self.planned_day, state, fails, by_target, by_fraction, order)
+        date = date_of(self.planned_day + 1 if late else self.day)
+        self.observe_on(name, date, state, fails, by_target, by_fraction, order)
 
     @rule(
         number=st.integers(0, 20),
@@ -100,36 +108,74 @@ class History(RuleBasedStateMachine):
         known = self.naive.observations()
         if known:
             one = known[number % len(known)]
-            self.observe_on(one.tile, one.date, True, state, fails, False, False, order)
+            self.observe_on(one.tile, one.date, state, fails, False, False, order, good=fails[1:])
 
-    def observe_on(self, name, date, is_later, state, fails, by_target, by_fraction, order):
-        """Record an observation, which is correct if it is later than the plan or corrects another one."""
-        row = self.names.index(name)
-        before = self.naive.of(name)
-        old = [one for one in before if one.date == date]
-        kept = self.naive.state_of(name) == "partly"
-        done = [one for one in before if one.state == "done" and one.date != date]
-        if old:
-            accepted = not (state == "done" and done)
-        else:
-            accepted = not done and name not in self.unplanned and (is_later or kept)
-        plan = old[0].plan if old else b"" if name in self.unplanned else part(self.folder, row)
+    @rule(number=st.integers(0, 40), order=st.randoms(use_true_random=False))
+    def record_again(self, number, order):
+        """Record an old table once more, also after it was corrected, canceled, or planned again."""
+        if self.tables:
+            name, date, state, rows, by_fraction, failed, good = self.tables[number % len(self.tables)]
+            rows = [*rows]
+            order.shuffle(rows)
+            self.send(name, date, state, rows, by_fraction, failed, good)
+
+    def plan_for(self, name, date):
+        """Return the plan with which a tile was observed on a date; empty if the tile has no plan."""
+        old = [one for one in self.naive.of(name) if one.date == date]
+        return old[0].plan if old else b"" if name in self.unplanned else part(self.folder, self.names.index(name))
+
+    def observe_on(self, name, date, state, fails, by_target, by_fraction, order, good=()):
+        """Record an observation; of the visits that failed, some are recorded as good instead."""
         rows = [{"tile": name, "date": date}]
         rows[0].update({"fraction": FRACTIONS[state]} if by_fraction else {"state": state})
-        rows_fraction = FRACTIONS[state] if by_fraction else 1.0
-        failed = set()
+        plan, failed = self.plan_for(name, date), {}
         if plan:
             visits = rs._io.read_fits_bytes(plan, "plan")[0]
             for k in {k % len(visits) for k in fails} if len(visits) else ():
-                failed.add(str(visits["positioner"][k]))
+                is_good = k in {k % len(visits) for k in good}
+                failed[str(visits["positioner"][k])] = is_good
                 key = "target" if by_target else "positioner"
-                rows.append(
-                    {"tile": name, "date": date, key: str(visits["target_id" if by_target else "positioner"][k])}
-                )
+                value = str(visits["target_id" if by_target else "positioner"][k])
+                rows.append({"tile": name, "date": date, key: value, **({"good": is_good} if good else {})})
         order.shuffle(rows)
-        columns = {key: [one.get(key, 1.0 if key == "fraction" else "") for one in rows] for one in rows for key in one}
+        names = [one for one, is_good in failed.items() if not is_good]
+        self.send(name, date, state, rows, by_fraction, names, [*{*failed} - {*names}])
+
+    def is_accepted(self, name, date, state, failed=(), fraction=1.0, good=()):
+        """Return whether an observation is later than the plan, or corrects or repeats another one."""
+        before, plan = self.naive.of(name), self.plan_for(name, date)
+        done = [one for one in before if one.state == "done" and one.date != date]
+        if plan and {*failed, *good} - {*rs._io.read_fits_bytes(plan, "plan")[0]["positioner"].astype(str)}:
+            return False  # the tile has another plan than when the table was written
+        if any(one.date == date for one in before):
+            known = self.naive.is_known(name, date, statements(state, failed, fraction, good))
+            return known or not (state == "done" and done)
+        applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
+        used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
+        is_later = used or date > max(applied, default="")
+        return bool(plan) and not done and is_later and date >= self.plans[name][1]
+
+    @rule(tiles=st.lists(st.integers(0, 9), min_size=2, max_size=3), late=st.booleans())
+    def observe_a_night(self, tiles, late):
+        """Observe several tiles in the order of the table, which determines the last visits."""
+        self.day += 1
+        date = date_of(self.planned_day + 1 if late else self.day)
+        names = [*dict.fromkeys(self.names[tile % len(self.names)] for tile in tiles)]
+        plans = [self.plan_for(name, date) for name in names]
+        accepted = all(self.is_accepted(name, date, "done") for name in names)
+        if self.record(events(tile=names, date=date, state="done"), accepted):
+            for name, plan in zip(names, plans, strict=True):
+                self.naive.observe(name, date, "done", plan)
+
+    def send(self, name, date, state, rows, by_fraction, failed, good):
+        """Record rows, which may be refused."""
+        fraction, plan = FRACTIONS[state] if by_fraction else 1.0, self.plan_for(name, date)
+        accepted = self.is_accepted(name, date, state, failed, fraction, good)
+        defaults = {"fraction": 1.0, "good": True}
+        columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
-            self.naive.observe(name, date, state, plan, failed, rows_fraction)
+            self.naive.observe(name, date, state, plan, failed, fraction, good)
+            self.tables.append((name, date, state, rows, by_fraction, failed, good))
 
     @rule(tile=st.integers(0, 9))
     def cancel(self, tile):
@@ -154,6 +200,7 @@ class History(RuleBasedStateMachine):
         table["pass"] = number
         if self.record(table, not self.naive.of(name)):
             self.unplanned.add(name)
+            self.naive.add(name)
             if is_new:
                 self.names.append(name)
 
@@ -199,6 +246,10 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan(state)
         self.unplanned = {name for name in self.names if self.naive.state_of(name) == "dropped"}
         self.planned_day = self.day
+        for row, name in enumerate(self.names):
+            if name not in self.unplanned and self.plans.get(name, ("",))[0] != part(self.folder, row):
+                self.plans[name] = part(self.folder, row), date_of(self.day)
+        self.applied = {(one.tile, one.date, one.plan) for word, one in self.naive.log if word == "observe"}
         self.check_plan()
 
     @rule()
@@ -230,7 +281,7 @@ class History(RuleBasedStateMachine):
                     assert survey.tiles["n_observed"][row] == len(good)
                     assert survey.tiles["date"][row] == one.date
                     assert survey.tiles["n_failed"][row] == sum(v[2] for v in one.visits()) - len(good)
-        total = {"requested": 0, "observed": 0, "complete": 0, "targets": 0}
+        total = {"requested": 0, "made": 0, "observed": 0, "complete": 0, "targets": 0}
         for target, requested, observed in zip(
             *(survey.outcomes[name].tolist() for name in ("target_id", "requested", "observed")), strict=True
         ):
@@ -238,17 +289,19 @@ class History(RuleBasedStateMachine):
             if self.kind[target] != "science":
                 assert observed == 0
                 continue
-            assert requested == (own if target in self.dropped else max(own, self.visits[target]))
-            assert observed == min(requested, own + planned.get(target, 0))
+            assert requested == (min(own, self.visits[target]) if target in self.dropped else self.visits[target])
+            assert observed == max(own, min(requested, own + planned.get(target, 0)))
             assert target not in self.dropped or planned.get(target, 0) == 0 or self.naive_begun(target)
             total["requested"] += requested
-            total["observed"] += observed
-            total["complete"] += 0 < requested == observed
+            total["made"] += observed
+            total["observed"] += min(observed, requested)
+            total["complete"] += 0 < requested <= observed
             total["targets"] += requested > 0
         summary = survey.summary
         assert summary["n_visits_made"] == sum(made.values())
         assert summary["n_visits_failed"] == sum(one["failed"] for one in counts.values())
-        assert summary["n_visits_observed"] == total["observed"] == survey.tiles["n_observed"].sum()
+        assert summary["n_visits_observed"] == total["observed"]
+        assert survey.tiles["n_observed"].sum() == total["made"]
         assert summary["n_visits_requested"] == total["requested"]
         last = survey.completeness[survey.completeness["priority"] == "all"][-1]
         names = ("n_requested", "n_observed", "n_complete", "n_targets")
@@ -280,12 +333,12 @@ class History(RuleBasedStateMachine):
         table = state.table
         for target, *found in zip(*(table[name].tolist() for name in ("target_id", *names)), strict=True):
             own = counts.get(target, nobody)
-            wanted = max(own["made"], self.visits[target])
+            wanted = self.visits[target]
             if target in self.dropped or (retries is not None and own["failed"] > retries):
-                wanted = own["made"]
+                wanted = min(wanted, own["made"])
             if self.kind[target] != "science":
                 own, wanted = nobody, 0
-            assert found == [*(own[name] for name in nobody), wanted, wanted - own["made"]], target
+            assert found == [*(own[name] for name in nobody), wanted, max(wanted - own["made"], 0)], target
 
     @invariant()
     def check_state(self):

@@ -43,13 +43,23 @@ def table_of(survey):
     return events(tile=tile, date=date, state=state, positioner=positioner)
 
 
+def in_order(table):
+    """Return whether the tiles of each night have the order in which they were observed."""
+    tiles = [[*dict.fromkeys(table["tile"][table["date"] == f"2026-01-0{day}"].tolist())] for day in (3, 5)]
+    return tiles == [["12", "13"], ["13", "14"]]
+
+
 def test_the_order_of_the_rows_of_a_table(case, planned, tmp_path, rng):
     """Regression: a late record of an earlier night was refused in some orders, and the last visits were others."""
     first, *others = copies(planned, tmp_path, 6)
     table = table_of(first)
     assert first.record(table)["n_events"] == 6
     for survey in others:
-        survey.record(table[rng.permutation(len(table))])
+        # the tiles of a night remain in their order, which is that of the observations
+        order = rng.permutation(len(table))
+        while not in_order(table[order]):
+            order = rng.permutation(len(table))
+        survey.record(table[order])
         assert content(survey.folder) == content(first.folder)
 
 
@@ -90,7 +100,7 @@ def test_a_night_recorded_after_the_plan_has_the_last_visit_of_its_date(case, pl
 def test_observations_without_dates_follow_those_before_them(case, planned, tmp_path):
     (survey,) = copies(planned, tmp_path, 1)
     survey.record(events(tile=11, date="2026-01-04"))
-    survey.record(events(tile=14))
+    survey.record(events(tile=14, state="done"))
     both = {*survey.tile(11)["target_id"].tolist()} & {*survey.tile(14)["target_id"].tolist()}
     own = {row["target_id"]: row for row in survey.state(case[0]).table}
     assert {own[one]["last_tile"] for one in both} == {"14"}
@@ -102,7 +112,10 @@ def test_rows_of_the_catalog(case, planned, tmp_path, rng):
     (survey,) = copies(planned, tmp_path, 1)
     order = rng.permutation(len(case[0]))
     survey.record(table_of(survey))
-    with pytest.raises(rs.InputError, match="the catalog must be that of the survey, got another catalog"):
+    with pytest.raises(
+        rs.InputError,
+        match="the catalog must be that of the first plan, with 60 targets, digest .*, got another catalog",
+    ):
         survey.state(case[0][order])
     other = rs.plan_survey(case[0][order], *case[1:], folder=tmp_path / "other", allocator="repair")
     other.record(table_of(survey))
@@ -150,9 +163,9 @@ def test_a_partitioned_catalog(case, tmp_path):
         assert (getattr(one, name) == getattr(two, name)).all(), name
     assert one.summary == two.summary
     assert differences(plan, other) == []
+    survey = rs.Survey.read(tmp_path / "survey-0")
     with pytest.raises(rs.InputError, match="rules that change priorities must be used with a catalog in memory"):
         survey.state(sky, rule=VisitRule(function=lambda table: {"priority": np.ones(len(table))}))
-    survey = rs.Survey.read(tmp_path / "survey-0")
     with pytest.raises(rs.InputError, match="targets must be changed only in a survey of a catalog in memory"):
         survey.record(events(target=1001, state="dropped"))
 
@@ -167,3 +180,16 @@ def test_the_order_of_new_targets_and_tiles(case, planned, tmp_path, rng):
         order = np.arange(4) if survey is first else rng.permutation(4)
         assert survey.record(new[order])["n_events"] == survey.record(tiles[order])["n_events"] == 4
         assert content(survey.folder) == content(first.folder)
+
+
+@pytest.mark.parametrize("tiles", [[11, 14], [14, 11]])
+@pytest.mark.parametrize("date", ["2026-01-03", ""])
+def test_the_last_visit_of_a_night_is_that_of_the_last_tile_of_the_table(case, planned, tmp_path, tiles, date):
+    """Regression: tiles of a night were sorted by their rows in the list of tiles."""
+    (survey,) = copies(planned, tmp_path, 1)
+    survey.record(events(tile=tiles, date=date, state="done"))
+    both = {*survey.tile(11)["target_id"].tolist()} & {*survey.tile(14)["target_id"].tolist()}
+    own = {row["target_id"]: row["last_tile"] for row in survey.state(case[0]).table}
+    assert {own[one] for one in both} == {str(tiles[-1])}
+    again = rs.plan_survey(*case, folder=survey.folder, resume=True, visits=survey.state(case[0]), allocator="repair")
+    assert {row["last_tile"] for row in again.state(case[0]).table if row["target_id"] in both} == {str(tiles[-1])}

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
-from living import content, differences, events
+from living import content, differences, events, tiling
 
 import rfpsurvey as rs
 from rfpsurvey._folder import locked
@@ -32,8 +32,13 @@ def added(name=30, **columns):
     return Table({"tile": [name], "state": ["added"], **{key: np.atleast_1d(v) for key, v in columns.items()}})
 
 
+def case_of_tiles():
+    """Return a list of tiles, as the command tile writes it."""
+    return tiling().table
+
+
 TILES = [
-    (events(tile=99), "tile must be a tile of the survey, such as 11, got '99'"),
+    (events(tile=99, state="done"), "tile must be a tile of the survey, such as 11, got '99'"),
     (events(tile=11, target=99), "target must be a target of tile 11 with a visit, got '99'"),
     (events(tile=11, positioner=99), "positioner must be a positioner of tile 11 with a visit, got '99'"),
     (events(tile=11, state="fine"), "unknown state of a tile 'fine'"),
@@ -52,11 +57,16 @@ TILES = [
     (Table({"tile": [11], "good": missing(True)}), "good must be given for every tile, got a missing value"),
     (events(tile=11, good=np.nan), "good must be given for every tile, got a missing value"),
     (events(tile=11, good="perhaps"), "good must hold booleans or numbers, got text such as 'perhaps'"),
-    (Table({"tile": missing(11)}), "tile must be integers or text for every row"),
-    (events(tile=11.5), "tile must be integers or text for every row, got numbers such as 11.5"),
+    (Table({"tile": missing(11), "good": [True]}), "tile must be integers or text for every row"),
+    (events(tile=11.5, state="done"), "tile must be integers or text for every row, got numbers such as 11.5"),
     (Table(), "must have a column tile or target, got the columns none"),
+    (events(tile=11), "a table of observations must have one of the columns state, good, date, fraction, positioner"),
+    (
+        case_of_tiles(),
+        "must have one of the columns state, good, date, fraction, positioner, target, got tile, ra, dec",
+    ),
     (Table({"color": [1]}), "must have a column tile or target, got the columns color"),
-    (events(tile=[11, 11]), "must have one row for each tile and date, got 2 rows for tile 11"),
+    (events(tile=[11, 11], good=True), "must have one row for each tile and date, got 2 rows for tile 11"),
     (events(tile=11, date=["2026-01-03", "2026-01-04", ""]), "date must be given in all rows of tile 11"),
     (
         events(tile=11, positioner=["", "1"], state=["done", "bad"]),
@@ -97,6 +107,10 @@ TARGETS = [
     (Table({"target": missing(1001), "visits": [2]}), "target must be integers or text for every row"),
     (events(target="a", visits=2), "the identifiers of targets must be numbers, as in the catalog, got text"),
     (events(target=1001), "a table of targets must have one of the columns priority, .*, got target"),
+    (
+        events(target=1001, ra=120.0, dec=30.0, priority=1),
+        "must have a column state if it contains positions of targets of the first plan, got target, ra, dec, priority",
+    ),
     (events(target=1001, good=False), "a table of targets must have one of the columns .*, got target, good"),
     (events(target=9, priority=1), r"target must be a target of the survey, or have the columns ra and dec, got 9"),
     (events(target=9, ra=1.0, dec=1.0), "priority must be a finite number for every new target, got none for 9"),
@@ -158,11 +172,13 @@ def test_names_of_tiles_that_files_cannot_contain(case, tmp_path):
     options = {"folder": survey.folder, "resume": True, "allocator": "nearest"}
     again = rs.plan_survey(*own, visits=survey.state(case[0]), **options)
     assert again.tiles["tile"].tolist() == [f"t{k}" for k in range(6)] + ["longer name"]
-    assert again.record(events(tile="longer name"))["n_events"] == 1
+    assert again.record(events(tile="longer name", state="done"))["n_events"] == 1
 
 
 def test_a_tile_is_given_once(survey):
-    refuse(survey, events(tile=11), "tile must be given only for a table without a column of tiles", tile=11)
+    refuse(
+        survey, events(tile=11, state="done"), "tile must be given only for a table without a column of tiles", tile=11
+    )
     refuse(survey, events(positioner=1), "tile must be a tile of the survey, such as 11, got '99'", tile=99)
     assert survey.record(events(positioner=1), tile=11)["n_events"] == 1
 
@@ -174,7 +190,7 @@ def test_an_observed_tile_is_not_dropped_or_moved_or_observed_again(survey):
     refuse(survey, added(11, ra=1, dec=1), "tile 11 must not be moved, because an observation of it was recorded")
     refuse(survey, added(12, ra=1, dec=1), "tile 12 must not be moved, because an observation of it was recorded")
     refuse(survey, events(tile=11, date="2026-01-04"), "tile 11 was already observed on 2026-01-03")
-    refuse(survey, events(tile=11), "tile 11 was already observed on 2026-01-03")
+    refuse(survey, events(tile=11, state="done"), "tile 11 was already observed on 2026-01-03")
     first = survey.tiles[1]
     twin = added(ra=first["ra"].value, dec=first["dec"].value, **{"pass": first["pass"]})
     refuse(survey, twin, "tiles 12 and 30 are the same")
@@ -210,22 +226,22 @@ def test_a_full_disk(survey, monkeypatch):
     mkdir = Path.mkdir
     with monkeypatch.context() as patch:
         patch.setattr(Path, "mkdir", lambda path, *_, **k: full() if path.name == "events" else mkdir(path, *_, **k))
-        refuse(survey, events(tile=11), "events cannot be written: No space left on device")
+        refuse(survey, events(tile=11, state="done"), "events cannot be written: No space left on device")
     with monkeypatch.context() as patch:
         patch.setattr("os.fsync", full)
-        refuse(survey, events(tile=11), "cannot be written: No space left on device")
-    assert survey.record(events(tile=11))["n_events"] == 1
+        refuse(survey, events(tile=11, state="done"), "cannot be written: No space left on device")
+    assert survey.record(events(tile=11, state="done"))["n_events"] == 1
 
 
 def test_two_writers(survey):
     with locked(survey.folder, survey.folder / "lock"):
-        refuse(survey, events(tile=11), "another run uses this folder")
+        refuse(survey, events(tile=11, state="done"), "another run uses this folder")
 
 
 def test_a_survey_without_a_folder(case):
     survey = rs.plan_survey(*case, allocator="nearest")
     with pytest.raises(rs.InputError, match="record needs a survey in a folder, got a survey that was planned without"):
-        survey.record(events(tile=11))
+        survey.record(events(tile=11, state="done"))
     with pytest.raises(rs.InputError, match="a state needs a survey in a folder"):
         survey.state(case[0])
 
@@ -252,7 +268,7 @@ def test_dates(survey, date):
 @pytest.mark.parametrize("date", [[""], [0], [None], [np.nan], missing("2026-01-03")])
 def test_missing_dates(survey, date):
     survey.record(Table({"tile": [11], "date": date}))
-    assert survey.record(events(tile=11))["n_known"] == 1
+    assert survey.record(events(tile=11, state="done"))["n_known"] == 1
 
 
 @pytest.mark.filterwarnings("ignore:columns that are not used")
@@ -313,7 +329,7 @@ def test_a_missing_flag_of_a_target_changes_nothing(survey, case):
 
 def test_positions_and_columns_that_cannot_be_used_cause_warnings(survey, case):
     """Regression: no state could be read afterward."""
-    survey.record(events(target=1001, ra=120.0, dec=30.0, subpriority=0.5))
+    survey.record(events(target=1001, state="", ra=120.0, dec=30.0, subpriority=0.5))
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always")
         state = survey.state(case[0])
@@ -356,3 +372,35 @@ def test_targets_are_added_to_catalogs_with_subpriorities_or_epochs(case, tmp_pa
         state = survey.state(sky)
     assert sorted(str(one.message)[:11] for one in told) == ["the catalog", "the subprio"]
     assert len(rs.plan_survey(sky, *case[1:], epoch=2026.0, visits=state, allocator="nearest").outcomes) == 61
+
+
+def test_changes_are_listed_and_a_dry_run_records_nothing(survey, case):
+    """Regression: the answer did not state what the events are."""
+    name = str(survey.tile(11)["positioner"][0])
+    table = events(
+        tile=["11", "11", "12", "13", "14", "15"],
+        date="2026-01-03",
+        state=["done", "", "partly", "bad", "dropped", "planned"],
+        positioner=["", name, *[""] * 4],
+    )
+    changes = {
+        "tiles observed": ["11"],
+        "failed visits": [f"11/{name}"],
+        "tiles partly observed": ["12"],
+        "tiles whose observation was bad": ["13"],
+        "tiles dropped": ["14"],
+        "tiles whose records are canceled": ["15"],
+    }
+    before = content(survey.folder)
+    for _ in range(2):
+        assert survey.record(table, dry_run=True)["changes"] == changes
+        assert content(survey.folder) == before
+    assert survey.record(table)["changes"] == changes
+    place = {"ra": [120.0] * 3, "dec": [30.0] * 3}
+    targets = events(target=[5000, 1001, 1002], state=["added", "dropped", ""], priority=3.0, **place)
+    found = survey.record(targets, dry_run=True)
+    names = {"targets added": ["5000"], "targets dropped": ["1001"], "targets changed": ["1002"]}
+    assert (found["n_events"], found["changes"]) == (3, names)
+    assert len(survey.state(case[0]).events.files) == 1
+    with pytest.raises(rs.InputError, match="dry_run must be"):
+        survey.record(table, dry_run="yes")

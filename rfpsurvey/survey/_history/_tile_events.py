@@ -1,0 +1,363 @@
+"""Convert a table of observations, or of changes to tiles, to events."""
+
+import re
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Table
+
+from rfpsurvey._folder import read_index
+from rfpsurvey._io import check_fits_text
+from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey._units import to_labels
+from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
+from rfpsurvey.survey._folder import part_name, plan_dates
+from rfpsurvey.survey._history._columns import columns_of, groups_of
+from rfpsurvey.survey._history._events import (
+    ADDED,
+    BAD,
+    DONE,
+    DROPPED,
+    PARTLY,
+    PLANNED,
+    Events,
+    TileEvent,
+    read_request,
+)
+from rfpsurvey.survey._history._replay import TileStates
+from rfpsurvey.survey._history._targets import to_numbers
+from rfpsurvey.survey._work import plan_digest
+from rfpsurvey.tiling import when_of
+
+MOST_FRACTION = 10
+"""Largest fraction of an exposure; larger numbers are usually percentages."""
+
+
+class History:
+    """What is known about the tiles of a survey before a table is recorded."""
+
+    def __init__(self, survey, folder: Path, events: Events):
+        self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
+        self._names = np.asarray(survey.tiles["tile"]).astype(str).tolist()
+        self.row_of = {name: row for row, name in enumerate(self._names)}
+        for row, event in self.states.added.items():
+            self.row_of.setdefault(event.tile, row)
+        self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
+        added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
+        self.n_targets = max(len(survey.outcomes), *added, 0)
+        self._known, self._dates = read_index(folder), plan_dates(folder)
+        self._planned = read_request(folder).get("planned", "")
+        about = survey.provenance.get("events", {"n_files": 0, "digest": ""})
+        self.n_applied = about["n_files"]
+        applied = events.first(self.n_applied)
+        if applied.digest != about["digest"]:
+            raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
+        planned = {one.observation for one in applied.of_tiles()}
+        dates = [one.date for one in self.states.attempts if one.observation in planned]
+        self.planned_until = max(dates, default="")
+        self.used_plans = {(one.row, one.plan) for one in events.of_tiles()}
+        self.past: dict[int, list[TileEvent]] = {}
+        """The events of each tile since the last one that canceled its events."""
+        for event in events.of_tiles():
+            if event.state == PLANNED:
+                self.past.pop(event.row, None)
+            self.past.setdefault(event.row, []).append(event)
+
+    def of(self, name: str) -> list[TileEvent]:
+        """Return the recorded observations of a tile."""
+        return self.states.of(self.row_of[name]) if name in self.row_of else []
+
+    def earlier(self, event: TileEvent) -> TileEvent | None:
+        """Return the recorded event of the same observation; None if there is none."""
+        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
+
+    def targets(self, row: int, plan: str) -> set[str]:
+        """Return the identifiers of the targets of a plan, without empty sky."""
+        visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
+        return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
+
+    def visits(self, event: TileEvent) -> np.ndarray:
+        """Return the visits of the plan with which a tile was observed."""
+        return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
+
+    def plan(self, row: int) -> str | None:
+        """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
+        entries = self._known.get(part_name(row))
+        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
+        return entries[-1][1] if is_planned else None
+
+    def plan_date(self, row: int, plan: str) -> str:
+        """Return the date on which the present plan of a tile replaced another plan; empty if it replaced none."""
+        checksum, date = self._dates.get(part_name(row), ("", ""))
+        return date if checksum == plan else self._planned
+
+    def named_plan(self, row: int, name: str, digest: str) -> str:
+        """Return the checksum of the plan of a tile with the digest that a table gives, or raise an error."""
+        plans = dict.fromkeys(one for one in (self.plan(row), *(old for k, old in self.used_plans if k == row)) if one)
+        for plan in plans:
+            visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
+            if digest in (plan, plan_digest(name, visits["positioner"], visits["target_id"])):
+                return plan
+        raise InputError(
+            f"plan must be the digest (PLANID in the header) of the present plan of tile {name}, or of a plan with "
+            f"which an observation was recorded, got {digest!r}"
+        )
+
+    def place(self, row: int) -> np.ndarray:
+        """Return the right ascension, declination, position angle (deg) and pass of a tile."""
+        return np.array(self.states.added[row].place) if row in self.states.added else self._planned_place(row)
+
+    def _planned_place(self, row: int) -> np.ndarray:
+        one = self.survey.tiles[row]
+        return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
+
+
+def tile_events(
+    table: Table, roles: dict, history: History, enough: float, tile: object
+) -> tuple[list[TileEvent], int, int]:
+    """Return the new events of tiles, and the numbers of known events and of tiles without an observation."""
+    n = len(table)
+    names = (
+        np.full(n, str(tile)) if tile is not None else np.asarray(to_labels(table[roles["tile"]], "tile")).astype(str)
+    )
+    columns = columns_of(table, roles)
+    events, n_known, n_ignored = [], 0, 0
+    is_visit = [any(columns[one] and columns[one][k] for one in ("positioner", "target")) for k in range(n)]
+    has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
+    groups = groups_of(names.tolist(), columns["date"])
+    place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
+
+    def order(group: tuple[str, str]) -> tuple:
+        """Return a key for sorting: observations of a night have the order of the table, other events that of tiles."""
+        words = [] if columns["state"] is None else [columns["state"][k] for k in groups[group]]
+        is_observed = not {ADDED, DROPPED, PLANNED} & {*words}
+        return group[1], is_observed, (min(groups[group]),) if is_observed else place[group[0]]
+
+    for name, date in sorted(groups, key=order):
+        rows = groups[name, date]
+        whole = [k for k in rows if not is_visit[k]]
+        if len(whole) > 1:
+            raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
+        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, has_states=has_states)
+        if not state:
+            if len(rows) > len(whole):
+                _event(DONE, name, date, fraction, history, ())  # raises an error if this date is not possible
+                raise InputError(
+                    f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
+                    f"{'no state' if whole else 'only rows of visits'}"
+                )
+            n_ignored += 1
+            continue
+        named = {name: {columns[name][k] for k in rows if columns[name]} - {""} for name in ("plan", "target")}
+        event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
+        if state in (DONE, PARTLY, BAD):
+            is_repeated = any(one.date == date for one in history.of(name))
+            event = event._replace(has_state=bool(whole) or not is_repeated)
+            event = _with_failures(columns, [k for k in rows if k not in whole], event, history)
+        if _is_known(event, history):
+            n_known += 1
+            continue
+        _check_possible(event, history)
+        history.states.add(event)
+        events.append(event)
+    return events, n_known, n_ignored
+
+
+def _state_of(
+    columns: dict,
+    whole: list[int],
+    rows: list[int],
+    enough: float,
+    earlier: list[TileEvent],
+    date: str,
+    *,
+    has_states: bool,
+) -> tuple[str, float]:
+    """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
+
+    Without this row, the tile has the state that was recorded before for this date. If the tile was not begun before,
+    and the table has no states of tiles, the tile is done. ``earlier`` contains the recorded observations of the tile.
+    """
+    for row in rows:
+        if columns["state"] is not None and row not in whole and columns["state"][row]:
+            raise InputError(
+                f"the state of a tile must be in a row without a positioner or target, got {columns['state'][row]!r} "
+                "in a row with one; whether a visit was successful is stated by good"
+            )
+    if not whole:
+        known = [(one.state, one.fraction) for one in earlier if one.date == date]
+        is_begun = any(one.state in (DONE, PARTLY) for one in earlier)
+        return known[-1] if known else ("" if is_begun or has_states else DONE, 1.0)
+    row = whole[0]
+    fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
+    if not 0 <= fraction <= MOST_FRACTION:
+        raise InputError(f"fraction must be a number from 0 to {MOST_FRACTION}, where 1 is complete, got {fraction:g}")
+    if columns["state"] is not None:
+        return columns["state"][row], fraction
+    good = True if columns["good"] is None else columns["good"][row]
+    if good is None:
+        raise InputError("good must be given for every tile, got a missing value")
+    if not good or fraction == 0:
+        return BAD, fraction
+    return (DONE if fraction >= enough else PARTLY), fraction
+
+
+def _event(
+    state: str, name: str, date: str, fraction: float, history: History, source: tuple, *, plan=(), target=()
+) -> TileEvent:
+    """Return the event of a tile without failed positioners, or raise an error if it is not possible.
+
+    ``plan`` and ``target`` are the digests of plans and the targets that the table names.
+    """
+    states = history.states
+    if state == ADDED:
+        return _addition(name, history, *source)
+    if name not in history.row_of:
+        raise InputError(
+            f"tile must be a tile of the survey, such as {next(iter(history.row_of), 'none')}, got {name!r}"
+        )
+    row = history.row_of[name]
+    if state == PLANNED:
+        return TileEvent(row, name, PLANNED, date, 0.0)
+    if state == DROPPED:
+        return TileEvent(row, name, DROPPED, date, 0.0)
+    earlier = [one for one in states.of(row) if one.date == date]
+    if len(plan) > 1:
+        raise InputError(f"plan must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(plan))}")
+    named = next((history.named_plan(row, name, one) for one in plan), None)
+    if named and any(one.plan != named for one in earlier if date):
+        raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {min(plan)!r}")
+    stated = [one[2:5] for one in history.past.get(row, ()) if one.has_state]
+    is_repeated = date or (state, date, fraction) in stated
+    if earlier and (is_repeated or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
+        return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
+    done = [one for one in states.of(row) if one.state == DONE]
+    if done:
+        raise InputError(
+            f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
+            f"{date or 'no date'!r}"
+        )
+    plan = named or history.plan(row)
+    if plan is None:
+        raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
+    is_older = named or (row, plan) in history.used_plans  # the tile was observed before with this plan
+    if history.planned_until and date <= history.planned_until and not is_older:
+        raise InputError(
+            f"the date of the observation of tile {name} must be later than {history.planned_until}, because its plan "
+            f"was made with the events up to this date, got {date or 'no date'}; record each night before the survey "
+            "is planned again"
+        )
+    made = "" if named else history.plan_date(row, plan)
+    if "" < date < made and not history.targets(row, plan) <= {*target}:
+        raise InputError(
+            f"the date of the observation of tile {name} must not be before {made}, the day on which its plan was last "
+            f"changed, got {date}; if the tile was observed with its present plan, give the digest of the plan (PLANID "
+            "in the header of its file) in a column plan, or the targets of all visits"
+        )
+    return TileEvent(row, name, state, date, fraction, plan)
+
+
+def _addition(name: str, history: History, table: Table, roles: dict, whole: list[int]) -> TileEvent:
+    """Return the event of a new tile, or of a tile with a new position."""
+    lacking = [one for one in ("ra", "dec") if one not in roles]
+    if lacking:
+        raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
+    if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
+        raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
+    check_fits_text({"names of added tiles": [name]}, "omit these tiles")
+    row, when = history.row_of.get(name), when_of(history.survey.tiles)
+    if row is None and when is not None:
+        raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")
+    place = [] if row is None else history.place(row).tolist()
+    for k, one in enumerate(("ra", "dec", "position_angle", "pass")):
+        if one in roles:
+            place[k : k + 1] = [float(to_numbers(table[roles[one]][whole[:1]], one)[0])]
+        elif row is None:
+            place.append(1.0 if one == "pass" else 0.0)
+    if not (np.isfinite(place[:3]).all() and -90 <= place[1] <= 90):
+        raise InputError(f"the position of tile {name} must be finite angles, got {short(place[:3])}")
+    if not (abs(place[3]) < MOST_WHOLE and place[3] == int(place[3])):
+        raise InputError(f"the pass of tile {name} must be a whole number, got {place[3]:g}")
+    place[0], place[3] = place[0] % 360, int(place[3])
+    if row is None:
+        row = history.row_of[name] = history.n_tiles
+        history.n_tiles += 1
+    elif np.array_equal(history.place(row), place):
+        return history.states.added.get(row, TileEvent(row, name, ADDED, place=tuple(place)))
+    return TileEvent(row, name, ADDED, place=tuple(place))
+
+
+def _check_possible(event: TileEvent, history: History) -> None:
+    """Raise an error if an event contradicts the observations of its tile."""
+    attempts, name = history.states.of(event.row), event.tile
+    done = [one for one in attempts if one.state == DONE and one.observation != event.observation]
+    if event.state == ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
+        raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
+    if event.state == DROPPED and done:
+        raise InputError(f"tile {name} must not be dropped, because it was observed{_on(done[0].date)}")
+    if event.state == DONE and done:
+        raise InputError(
+            f"tile {name} must be observed only once, got its observations{_on(event.date)} and{_on(done[0].date)}; "
+            "record one of them as bad"
+        )
+
+
+def _is_known(event: TileEvent, history: History) -> bool:
+    """Return whether an event repeats an earlier record, and warn if this record was corrected since then.
+
+    Without a date, the states ``dropped`` and ``planned`` can be recorded any number of times. A record that changes
+    nothing, but states something new, is kept, so that it does not undo a later correction if it is recorded again.
+    """
+    states, is_dropped, before = history.states, event.row in history.states.dropped, history.earlier(event)
+    is_same = before is not None and before[:7] == event[:7]
+    if event.state == ADDED:
+        is_planned = event.row < history.n_tiles_before and not is_dropped
+        is_same = is_planned and np.array_equal(history.place(event.row), event.place)
+    elif event.state in (DROPPED, PLANNED):
+        is_same = is_dropped if event.state == DROPPED else not is_dropped and not states.of(event.row)
+    if not event.date and (is_same or event.state in (DROPPED, PLANNED)) and before is None:
+        return is_same
+    known = any(one.includes(event) for one in history.past.get(event.row, ()))
+    if known and not is_same:
+        warn(
+            f"the state of tile {event.tile}{_on(event.date)} was corrected after this record, and the correction is "
+            "kept; to undo it, record the state planned for this tile, and then its observations"
+        )
+    return known
+
+
+def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: History) -> TileEvent:
+    """Return the event with the positioners that failed according to the table, and those recorded before."""
+    failed, stated, good = dict((history.earlier(event) or event).failed), {}, set()
+    if not rows:
+        return event._replace(failed=failed, stated=stated if failed else None)
+    visits = history.visits(event)
+    ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
+    ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
+    positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
+    pairs = {*zip(ids["positioner"], ids["target"], strict=True)}
+    for k in rows:
+        what = "positioner" if columns["positioner"] and columns["positioner"][k] else "target"
+        name = columns[what][k]
+        if name not in positioner_of[what]:
+            raise InputError(f"{what} must be a {what} of tile {event.tile} with a visit, got {name!r}")
+        if what == "target" and ids["target"].count(name) > 1:
+            raise InputError(
+                f"positioner must be given for target {name} of tile {event.tile}, because "
+                f"{ids['target'].count(name)} targets of this tile have this identifier, got only the target"
+            )
+        other = columns["target"][k] if what == "positioner" and columns["target"] else ""
+        if other and (name, other) not in pairs:
+            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
+        if columns["good"] is None or not columns["good"][k]:
+            stated[positioner_of[what][name]] = columns["reason"][k]
+        else:
+            good.add(positioner_of[what][name])
+    failed = {one: reason for one, reason in failed.items() if one not in good} | stated
+    failed, stated = (dict(sorted(one.items())) for one in (failed, stated))
+    return event._replace(failed=failed, stated=None if stated == failed else stated, good=tuple(sorted(good)))
+
+
+def _on(date: str) -> str:
+    return f" on {date}" if date else ""

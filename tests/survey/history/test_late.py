@@ -1,0 +1,107 @@
+"""Reports that arrive after the survey was planned again: the plan of the observation is known, or named."""
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from living import content, events
+
+import rfpsurvey as rs
+
+DAYS = {name: str(np.datetime64(f"2026-01-{name:02d}", "s").astype(int)) for name in (1, 5, 9)}
+
+
+@pytest.fixture
+def replanned(case, survey, monkeypatch):
+    """Return a function that plans the survey again on a day of January, and the survey after the first time."""
+
+    def replan(day, survey=survey):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", DAYS[day])
+        state = survey.state(case[0])
+        return rs.plan_survey(
+            *case, folder=survey.folder, resume=True, visits=state, allocator="nearest", progress=False
+        )
+
+    survey.record(events(tile=11, date="2026-01-02"))
+    survey.record(events(target=survey.tile(12)["target_id"][:2].tolist(), state="dropped"))
+    return replan, replan(5)
+
+
+def changed(survey, again):
+    """Return the names of a tile whose plan changed and of a tile whose plan did not change."""
+    same = {name: (survey[name] == again.tile(name)["target_id"].tolist()) for name in survey}
+    return next(name for name in same if not same[name]), next(name for name in same if same[name])
+
+
+def targets_of(survey):
+    return {name: survey.tile(name)["target_id"].tolist() for name in (12, 13, 14, 15, 16)}
+
+
+def refuse(survey, table, sentence):
+    before = content(survey.folder)
+    with pytest.raises(rs.InputError, match=sentence):
+        survey.record(table)
+    assert content(survey.folder) == before
+
+
+def plan_id(survey, row):
+    return fits.getheader(survey.folder / f"tiles/000/{row:06d}.fits", 1)["PLANID"]
+
+
+def test_an_observation_before_its_plan_changed_is_refused(case, survey, monkeypatch):
+    """Regression: a tile that was observed with an earlier plan was credited with the targets of the present plan."""
+    before = targets_of(survey)
+    survey.record(events(tile=11, date="2026-01-02"))
+    survey.record(events(target=before[12][:2], state="dropped"))
+    for day in (5, 9):
+        monkeypatch.setenv("SOURCE_DATE_EPOCH", DAYS[day])
+        state = survey.state(case[0])
+        again = rs.plan_survey(*case, folder=survey.folder, resume=True, visits=state, allocator="nearest")
+    other, same = changed(before, again)
+    refuse(again, events(tile=other, date="2026-01-04"), f"tile {other} must not be before 2026-01-05, the day")
+    with pytest.raises(rs.InputError, match="give the digest of the plan"):
+        again.record(events(tile=[other, same], date="2026-01-04"))
+    assert again.record(events(tile=same, date="2026-01-04"))["n_events"] == 1
+    assert again.record(events(tile=other, date="2026-01-05"))["n_events"] == 1
+
+
+def test_tables_name_the_plan_with_which_a_tile_was_observed(case, survey, replanned):
+    _, again = replanned
+    late = {"tile": 12, "date": "2026-01-04"}
+    refuse(again, events(**late), "must not be before 2026-01-05")
+    refuse(again, events(**late, plan="0123456789abcdef"), "plan must be the digest .PLANID in the header. of")
+    visits = again.tile(12)
+    names = visits["target_id"].astype(str).tolist()
+    refuse(again, events(**late, target=["", *names[1:]], good=True), "must not be before 2026-01-05")
+    refuse(again, events(**late, plan=[plan_id(again, 1), "x"], target=["", names[0]]), "plan must be the same in all")
+    before = again.state(case[0]).observed
+    if names:
+        again.record(events(**late, target=["", *names], good=[True, False, *[True] * (len(names) - 1)]))
+        credited = case[0].id[again.state(case[0]).observed > before]
+        assert sorted(credited.tolist()) == sorted(visits["target_id"][1:].tolist())
+    again.record(events(tile=12, state="planned"))
+    again.record(events(**late, plan=plan_id(again, 1)))
+    credited = case[0].id[again.state(case[0]).observed > before]
+    assert sorted(credited.tolist()) == sorted(visits["target_id"][visits["observed"]].tolist())
+
+
+def test_an_earlier_plan_of_a_repeated_observation_is_named(case, survey, replanned):
+    """A tile whose first observation was bad can be observed again with the former plan."""
+    replan, again = replanned
+    old, visits = plan_id(again, 1), again.tile(12)
+    again.record(events(tile=12, date="2026-01-06", state="bad"))
+    again.record(events(target=visits["target_id"][:1].tolist(), state="dropped"))
+    again = replan(9, again)
+    assert plan_id(again, 1) != old
+    refuse(again, events(tile=12, date="2026-01-08"), "must not be before 2026-01-09")
+    refuse(again, events(tile=12, date="2026-01-06", plan=plan_id(again, 1)), "plan must be that of the recorded")
+    before = again.state(case[0]).observed
+    again.record(events(tile=12, date="2026-01-08", plan=old))
+    credited = case[0].id[again.state(case[0]).observed > before]
+    assert sorted(credited.tolist()) == sorted(visits["target_id"][visits["observed"]].tolist())
+
+
+def test_a_survey_that_is_not_planned_again_keeps_the_dates_of_its_plans(case, survey, replanned):
+    replan, again = replanned
+    for _ in range(2):
+        replan(9, again)
+    assert again.record(events(tile=12, date="2026-01-05"))["n_events"] == 1

@@ -1,0 +1,116 @@
+"""Tables that add, drop and change targets: columns of the catalog, and tables that are recorded again."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.table import MaskedColumn, QTable, Table
+from living import CENTER, events
+
+import rfpsurvey as rs
+
+
+@pytest.fixture
+def extended(case, tmp_path):
+    """Return a catalog with further columns, and a survey with a rule on magnitudes."""
+    extra = QTable({"g": np.full(60, 15.0, dtype=np.float32) * u.mag, "field": np.arange(60, dtype=np.int16)})
+    extra["name"], extra["flag"] = [f"s{k}" for k in range(60)], np.arange(60) % 2 == 0
+    sky = replace(case[0], extra=extra)
+    options = rs.AllocationOptions("nearest", constraints="magnitude g 9 inf science")
+    return sky, options, rs.plan_survey(sky, *case[1:], folder=tmp_path / "survey", allocator=options)
+
+
+def new(**columns):
+    """Return a table with two targets in the center of the field."""
+    place = {"ra": CENTER.ra.deg + np.array([0.0, 0.01]), "dec": [30.0, 30.0], "priority": [9.0, 9.0]}
+    return Table({"target": [5000, 5001], "state": ["added"] * 2, **place, **columns})
+
+
+def test_added_targets_keep_the_columns_of_rules(case, extended):
+    """Regression: a bright added star had a fiber, and the rule that excludes bright stars passed."""
+    sky, options, survey = extended
+    survey.record(events(tile=11, date="2026-01-03"))
+    survey.record(new(g=[3.0, 12.0], field=[-7, 2**60], name=["bright", "a longer name"], flag=[True, False]))
+    state = survey.state(sky)
+    again = rs.plan_survey(sky, *case[1:], visits=state, folder=survey.folder, resume=True, allocator=options)
+    found = {*again.targets["target_id"].tolist()}
+    assert 5001 in found
+    assert 5000 not in found
+    assert again.rules["pass"][0] == len(case[2])
+    extra = state.catalog.extra
+    assert (extra["g"].unit, extra["g"].dtype, extra["g"][-2:].value.tolist()) == (
+        u.mag,
+        sky.extra["g"].dtype,
+        [3.0, 12.0],
+    )
+    assert extra["name"][-2:].tolist() == ["bright", "a longer name"]
+    assert extra["name"][:2].tolist() == ["s0", "s1"]
+    assert extra["flag"].tolist() == [*(np.arange(60) % 2 == 0).tolist(), True, False]
+    assert extra["field"][-2] == -7
+
+
+def test_further_columns_of_known_targets_change(extended):
+    sky, _, survey = extended
+    survey.record(events(target=[1003, 1004], g=[8.0, np.nan], flag=[True, False]))
+    survey.record(Table({"target": [1003, 1005], "name": MaskedColumn(["x", ""], mask=[False, True])}))
+    extra = survey.state(sky).catalog.extra
+    assert extra["g"][3:6].value.tolist() == [8.0, 15.0, 15.0]
+    assert extra["name"][3:6].tolist() == ["x", "s4", "s5"]
+    assert extra["flag"][3:6].tolist() == [True, False, False]
+
+
+def test_columns_that_are_not_recorded_are_named(extended):
+    sky, _, survey = extended
+    with pytest.raises(rs.InputError, match="must have the column g, which a rule of the survey uses, got target"):
+        survey.record(new(field=[1, 2]))
+    text = "the values of field, flag, name are not recorded for all added targets; rules treat them as missing"
+    with pytest.warns(rs.RfpsurveyWarning, match="the values of field, name, flag are not recorded|" + text):
+        survey.record(new(g=[300.0, 1200.0] * u.cmag))
+    assert survey.state(sky).catalog.extra["g"][-2:].value.tolist() == [3.0, 12.0]
+    for wrong, sentence in (
+        ({"g": ["a", "b"]}, "g must be numbers"),
+        ({"g": [1.0, 2.0] * u.mm}, "g must have the unit mag, got mm"),
+        ({"field": [0.5, 1.0]}, "field must be whole numbers, as in the catalog, got 0.5"),
+        ({"flag": ["perhaps", "no"]}, "flag must hold booleans or numbers"),
+    ):
+        with pytest.raises(rs.InputError, match=sentence):
+            survey.record(new(**wrong))
+
+
+def test_a_dropped_target_that_is_added_is_observed_again(case, survey):
+    """Regression: the target stayed dropped without a message."""
+    place = case[0].coord[3]
+    added = events(target=1003, state="added", ra=place.ra.deg, dec=place.dec.deg, priority=2.0)
+    survey.record(events(target=1003, state="dropped"))
+    assert survey.state(case[0]).dropped[3]
+    survey.record(added)
+    assert not survey.state(case[0]).dropped[3]
+    survey.record(events(target=1003, state="dropped"))
+    with pytest.warns(rs.RfpsurveyWarning, match="1 target, such as 1003, were changed after this record"):
+        assert survey.record(added)["n_known"] == 1
+    assert survey.state(case[0]).dropped[3]
+    survey.record(events(target=1003, state="planned"))
+    assert survey.record(added)["n_known"] == 1
+    assert not survey.state(case[0]).dropped[3]
+
+
+def test_old_tables_with_dates_do_not_undo_changes_of_targets(case, survey):
+    """Regression: an old table of changes to targets undid later changes."""
+    first = events(target=[1003, 1004], date="2026-01-03", visits=[5, 6])
+    survey.record(first)
+    survey.record(events(target=1003, date="2026-01-04", visits=2))
+    with pytest.warns(rs.RfpsurveyWarning, match="1 target, such as 1003, were changed after this record"):
+        assert survey.record(first)["n_known"] == 2
+    assert survey.state(case[0]).requested[3:5].tolist() == [2, 6]
+    assert survey.record(events(target=1003, date="2026-01-05", visits=5))["n_events"] == 1
+    assert survey.state(case[0]).requested[3] == 5
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_priorities_are_recorded_while_all_tiles_are_dropped(case, survey):
+    """Regression: the survey seemed to have no priorities."""
+    survey.record(events(tile=survey.tiles["tile"].tolist(), state="dropped"))
+    again = rs.plan_survey(*case, folder=survey.folder, resume=True, visits=survey.state(case[0]), allocator="nearest")
+    assert again.record(events(target=1003, priority=7.0))["n_events"] == 1
+    assert again.state(case[0]).catalog.priority[3] == 7
