@@ -205,8 +205,9 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
         if isinstance(value, kind) and (inside := key.inside(kind)):
             for one in value.values() if kind is dict else value:
                 _check(key, one, inside)
-    if key.is_path and value == "":
-        raise InputError(f"{key.name} must be {key.words}, got ''")
+    for one in value if isinstance(value, list) else [value]:
+        if isinstance(one, str) and not one.strip():
+            raise InputError(f"{key.name} must be {key.words}, got {one!r}; leave it out to use the default value")
     if key.is_path and isinstance(value, str) and base is not None:
         value = located(value, base, always=Located not in key.extra)
     entries = values.get(key.name)

@@ -146,6 +146,8 @@ def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
         raise InputTypeError("required must contain ids of targets (integers or text), got booleans")
     if names.ndim != 1:
         raise InputError(f"required must be a one-dimensional list of target ids, got the shape {names.shape}")
+    if "" in names.tolist():
+        raise InputError("required must contain ids of targets that are not empty, got ''")
     return tuple(dict.fromkeys(names.tolist()))
 
 

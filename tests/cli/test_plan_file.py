@@ -288,7 +288,7 @@ def test_wrong_files_are_refused_in_one_sentence(run, tmp_path, text, message):
         (["--set", "options.time_limit=['1 s', '2 m']"], "options.time_limit must be a number (s) or text with a unit"),
         (["--rng", "two"], "--rng must be a whole number, got 'two'"),
         (["--set", "catalog=stars.fits"], "catalog must be a table, whose keys are set one by one"),
-        (["--constraint", ""], "--constraint must have a value, got ''"),
+        (["--constraint", ""], "the word after --constraint must not be empty, got ''"),
         (["--column", "ra"], "--column must have the form NAME=VALUE, got 'ra'"),
         (["nothing.toml"], "nothing.toml: there is no such file"),
         (["--write-plan", "plan.txt"], "plan.txt: the name of this output file must end in .toml"),
