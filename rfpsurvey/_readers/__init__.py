@@ -14,8 +14,8 @@ from rfpsurvey._readers._limits import (
     reading,
     sentence,
 )
-from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow
-from rfpsurvey._readers._quantities import without_unit
+from rfpsurvey._readers._parquet import import_parquet, read_parquet, table_of_arrow, unit_metadata
+from rfpsurvey._readers._quantities import is_known, without_unit
 from rfpsurvey._readers._table import FORMATS, META_KEY, read_table, read_tables, suffix_of, to_path
 
 __all__ = [
@@ -27,6 +27,7 @@ __all__ = [
     "entries_of",
     "head_of",
     "import_parquet",
+    "is_known",
     "is_number",
     "is_present",
     "open_file",
@@ -43,5 +44,6 @@ __all__ = [
     "suffix_of",
     "table_of_arrow",
     "to_path",
+    "unit_metadata",
     "without_unit",
 ]
