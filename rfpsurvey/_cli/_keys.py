@@ -20,7 +20,8 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, short
+from rfpsurvey._readers import has_other_digits
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_whole, close_to, short
 from rfpsurvey.region import Region
 
 __all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
@@ -266,8 +267,10 @@ def _to_quantity(key: Key, value: object) -> object:
     if isinstance(value, dict):
         return {name: _to_quantity(key, one) for name, one in value.items()}
     try:
+        if isinstance(value, str) and has_other_digits(value):
+            raise ValueError(value)
         found = u.Quantity([_to_quantity(key, one) for one in value] if isinstance(value, list) else value)
-    except (TypeError, ValueError, OverflowError):
+    except INCONVERTIBLE:
         raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
     if isinstance(value, list):
         return found

@@ -7,6 +7,7 @@ import typer
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _command, _examples, _main
+from rfpsurvey._readers import parse_number
 from rfpsurvey.errors import number_of
 
 
@@ -24,8 +25,10 @@ def record(
     enough: Annotated[
         float,
         typer.Option(
+            parser=parse_number,
+            metavar="ENOUGH",
             help="Smallest fraction of the exposure at which a tile counts as done; with a smaller fraction, it is "
-            "partly observed. It has no effect on rows with a state."
+            "partly observed. It has no effect on rows with a state.",
         ),
     ] = 1.0,
     tile: Annotated[str | None, typer.Option(help="The tile of all rows of a table without a column of tiles.")] = None,

@@ -3,7 +3,7 @@
 from rfpsurvey._readers._archives import read_arrays
 from rfpsurvey._readers._documents import check_size, parse_json, read_toml
 from rfpsurvey._readers._fits import read_fits_bytes, read_fits_units
-from rfpsurvey._readers._header import is_number
+from rfpsurvey._readers._header import has_other_digits, is_number, parse_number
 from rfpsurvey._readers._limits import (
     check_is_file,
     content_of,
@@ -25,6 +25,7 @@ __all__ = [
     "check_size",
     "content_of",
     "entries_of",
+    "has_other_digits",
     "head_of",
     "import_parquet",
     "is_known",
@@ -32,6 +33,7 @@ __all__ = [
     "is_present",
     "open_file",
     "parse_json",
+    "parse_number",
     "read_arrays",
     "read_fits_bytes",
     "read_fits_units",

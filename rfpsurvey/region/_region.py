@@ -8,8 +8,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey import _healpix
-from rfpsurvey._units import to_center, to_scalar, to_vectors
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey._readers import parse_number
+from rfpsurvey._units import to_center, to_plain, to_scalar, to_vectors
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
 from rfpsurvey.region._sphere import is_inside
 
@@ -178,9 +179,10 @@ class Region:
         """
         nside = _healpix.check_nside(nside)
         check_choice(order, ("nested", "ring"), "order of pixels")
-        numbers = np.unique(np.asarray(pixels))
+        numbers = to_plain(pixels, "pixels", "whole numbers")
         if numbers.size == 0 or numbers.dtype.kind not in "iu":
             raise refusal("pixels must contain one or more whole numbers", pixels, Number, list, np.ndarray)
+        numbers = np.unique(numbers)
         if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
             raise InputError(
                 f"pixels must be from 0 to {12 * nside**2 - 1} for nside {nside}, got {numbers[0]} to {numbers[-1]}"
@@ -227,7 +229,7 @@ class Region:
         kind, *words = str(text).replace(",", " ").split() or [""]
         check_choice(kind, FORMS, "kind of region")
         try:
-            numbers = [float(word) for word in words] * u.deg
+            numbers = [parse_number(word) for word in words] * u.deg
         except ValueError:
             numbers = None
         wanted = {"cap": len(words) == 3, "box": len(words) == 4, "sky": not words}
@@ -283,7 +285,7 @@ def _two(values, name, low, high):
     """Convert two angles to degrees, and check their range."""
     try:
         first, last = values
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise refusal(f"{name} must be two angles", values, list, tuple) from None
     both = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
     return [min(max(value, low), high) for value in both]
