@@ -1,6 +1,7 @@
 """Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
 from collections.abc import Collection, Iterable
+from dataclasses import fields
 from numbers import Integral, Number
 
 import astropy.units as u
@@ -13,12 +14,43 @@ from astropy.coordinates import (
     UnitSphericalCosLatDifferential,
     UnitSphericalRepresentation,
 )
+from astropy.table import Table
+from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import is_number
 from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, InputUnitsError, listed, refusal, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128
+
+
+class ByValue:
+    """Base class of frozen dataclasses of settings, which are equal if all their values, units and types are equal."""
+
+    def __eq__(self, other):
+        return _value_of(self) == _value_of(other) if type(self) is type(other) else NotImplemented
+
+    def __hash__(self):
+        return hash(_value_of(self))
+
+
+def _value_of(value: object) -> object:
+    """Return an object that can be compared and hashed, and that is equal for equal values; NaN is equal to NaN."""
+    if isinstance(value, ByValue):
+        return tuple(_value_of(getattr(value, one.name)) for one in fields(value) if one.compare)
+    if isinstance(value, u.Quantity):
+        return str(value.unit), _value_of(value.value)
+    if isinstance(value, Time):
+        return value.scale, _value_of(np.asarray(value.jd1)), _value_of(np.asarray(value.jd2))
+    if isinstance(value, SkyCoord):
+        return repr(value.frame.replicate_without_data()), _value_of(value.data.to_cartesian().xyz)
+    if isinstance(value, Table):
+        return tuple((name, _value_of(value[name])) for name in value.colnames)
+    if isinstance(value, np.ndarray | np.void):
+        return np.shape(value), str(value.dtype), tuple(value.ravel()) if value.dtype.hasobject else value.tobytes()
+    if isinstance(value, dict):
+        return frozenset((name, _value_of(one)) for name, one in value.items())
+    return tuple(map(_value_of, value)) if isinstance(value, list | tuple) else value
 
 
 def locked(array: np.ndarray) -> np.ndarray:

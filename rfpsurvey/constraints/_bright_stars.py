@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._readers import parse_number
+from rfpsurvey._units import exact_text
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.constraints._constraint import ConstraintField
 from rfpsurvey.constraints._rule import check_text
@@ -158,7 +159,11 @@ class BrightStars(StarRule):
 def _text_of(radius: object) -> str:
     """Return the text of a table or formula of radii; raise an error if it is not valid."""
     try:
-        pairs = radius if isinstance(radius, str) else ",".join(f"{float(m):.15g}:{float(r):.15g}" for m, r in radius)
+        pairs = (
+            radius
+            if isinstance(radius, str)
+            else ",".join(f"{exact_text(float(m))}:{exact_text(float(r))}" for m, r in radius)
+        )
         _function_of(pairs)
     except InputError:
         raise

@@ -12,7 +12,7 @@ from astropy.time import Time
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_toml
-from rfpsurvey._units import to_scalar
+from rfpsurvey._units import ByValue, to_scalar
 from rfpsurvey.catalog import to_moment
 from rfpsurvey.errors import (
     INCONVERTIBLE,
@@ -42,7 +42,7 @@ RATE = 1.00273781191135448 * 2 * np.pi / 86400
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class ObservingConditions:
+class ObservingConditions(ByValue):
     """Place, time, weather and wavelengths of an observation, from which refraction is computed.
 
     Parameters

@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_table
-from rfpsurvey._units import check_columns, to_mm, to_scalar, to_unit
+from rfpsurvey._units import ByValue, check_columns, to_mm, to_scalar, to_unit
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_keywords, check_whole, refusal
 
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
@@ -21,7 +21,7 @@ MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class DistortionMap:
+class DistortionMap(ByValue):
     """Polynomial map from the tangent plane to the focal plane, for one setting of a dispersion compensator (ADC).
 
     The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half

@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._units import to_direction, to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import ByValue, to_direction, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, refusal, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
@@ -18,7 +18,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Centers:
+class Centers(ByValue):
     """Constraints on the centers of tiles, and the position angle of the tiles.
 
     Parameters
