@@ -11,7 +11,14 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, suffix_of, write_table
 from rfpsurvey.errors import brief
-from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
+from rfpsurvey.report import (
+    estimate_facts,
+    rules_of_tile,
+    tile_facts,
+    tile_objectives,
+    tile_problems,
+    tiling_facts,
+)
 
 __all__ = [
     "PICTURES",
@@ -162,7 +169,10 @@ def _first(axes):
 def print_summary(tile: "rs.Tile") -> None:
     """Print the summary of a tile, one value per line."""
     name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
-    print(f"{name}, allocator {values['allocator']}")
+    layout = f", {tile.provenance['instrument'].get('layout', '')}" if values["allocator"] == "scored" else ""
+    print(f"{name}{layout.rstrip(', ')}, allocator {values['allocator']}")
+    for text in tile_problems(tile):
+        print_text(text)
     if "ra_deg" in values:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
@@ -215,7 +225,7 @@ def _print_rules(tile: "rs.Tile") -> None:
     if tile.rules is None:
         return
     print("constraint, number, limit, verdict, and positioners that violate it:")
-    for one in tile.rules:
+    for one in rules_of_tile(tile.rules):
         number = [] if np.isnan(one["number"]) else [f"{one['number']:.6g} ({one['limit']})"]
         fibers = [f"positioners {brief(tuple(one['fibers'].split()))}"] if one["fibers"] else []
         words = "; ".join([*number, *filter(None, [one["note"]]), *fibers])

@@ -116,7 +116,8 @@ def test_a_tile_survives_with_its_assignment_and_collisions(tmp_path, path, buil
 
 
 def test_joint_angles_of_nominal_arms_are_left_out(tmp_path, path):
-    tile = rs.score_tile(plans.read_plan(path), "sdss_apo")
+    with pytest.warns(rs.RfpsurveyWarning, match="the arms are nominal"):
+        tile = rs.score_tile(plans.read_plan(path), "sdss_apo")
     with pytest.warns(rs.RfpsurveyWarning, match="the joint angles computed from nominal arm lengths"):
         tile.write(tmp_path / "tile.par", format="confsummary")
     assert np.isnan(plans.read_plan(tmp_path / "tile.par")["theta"]).all()
@@ -247,7 +248,7 @@ def test_commands_read_and_write_plans(run, tmp_path, path, built, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, err = run("score", str(path))
     assert code == 0, err
-    assert "sdss_apo, allocator scored" in out
+    assert "sdss_apo, nominal, allocator scored" in out
     code, out, _ = run("score", str(path), "--instrument", str(tmp_path / "calibration"), "--output", "tile.fits")
     assert code == 0
     code, out, err = run("convert", "tile.fits", "tile.par.gz")
