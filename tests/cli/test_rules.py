@@ -31,7 +31,7 @@ def test_score_prints_the_verdict_on_each_rule(run, real_data, tmp_path, option)
     assert "the arms are nominal: score the plan with the instrument as built" in err
     lines = out.splitlines()
     assert lines[0].startswith("sdss_apo, nominal, allocator scored")
-    assert " constraints not met: " in lines[1]
+    assert any(" constraints not met: " in line for line in lines[1:3])
     assert "fail          sky@BOSS=50: 0 (at least 50)" in lines
     assert "pass          sky@APOGEE=35: 35 (at least 35)" in lines
     assert sum(line.startswith(("pass  ", "fail  ", "not checkable ")) for line in lines) == 16
