@@ -29,8 +29,7 @@ ROLES = {
     "pmdec": ("pmdec pm_dec pmde pmdec_icrs mu_dec", "pos.pm;pos.eq.dec"),
     "epoch": ("ref_epoch epoch refepoch epoch_ref gaia_epoch", "meta.ref;time.epoch"),
     "id": (
-        "id source_id source target_id targetid tyc catalogid objid obj_id object_id designation rsid name identifier "
-        "target",
+        "id source_id source target_id targetid tyc catalogid objid obj_id object_id designation rsid name identifier",
         "meta.id;meta.main",
     ),
     "priority": ("priority target_priority", ""),
