@@ -131,6 +131,15 @@ def test_plans_of_other_instruments_are_refused(tmp_path, small):
     assert files_in(tmp_path) == []
 
 
+def test_a_header_that_cannot_be_read_again_is_not_written(tmp_path, path):
+    """Regression: a plan table with a damaged epoch was converted to a file that could not be read."""
+    plan = plans.read_plan(path)
+    plan.meta["header"]["epoch"] = "618"
+    with pytest.raises(rs.InputError, match="epoch in the header must be a Julian date from .*, got 618"):
+        plans.write_plan(plan, tmp_path / "bad.par")
+    assert not (tmp_path / "bad.par").exists()
+
+
 def test_text_that_yanny_files_cannot_hold_is_refused(tmp_path, path):
     plan = plans.read_plan(path)
     for text in ('a "word"', "{a", "a\\", "größe"):
