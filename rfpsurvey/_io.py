@@ -12,19 +12,20 @@ import json
 import os
 import secrets
 import warnings
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, Table
+from astropy.units import Unit
 
-from rfpsurvey._outputs import WRITABLE, check_new_folder, check_output
-from rfpsurvey._readers import META_KEY, read_fits_bytes, read_table, sentence, suffix_of, to_path
+from rfpsurvey._outputs import WRITABLE, check_new_folder, check_output, check_texts
+from rfpsurvey._readers import META_KEY, is_known, read_fits_bytes, read_table, sentence, suffix_of, to_path
 from rfpsurvey._temporary import temporary
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 
 __all__ = [
     "META_KEY",
@@ -69,24 +70,32 @@ def write_table(
     to their tables; an ECSV file can contain only one table.
     """
     path = to_path(path)
+    for one in (table, *(others or {}).values()):
+        check_texts(one, path)
     with output_path(path, WRITABLE, overwrite=overwrite) as own:
         if suffix_of(path) == ".fits":
-            try:
+            with _writing(f"{path}: the table", "FITS", "; write .ecsv instead"):
                 _to_hdus(table, cards, name, others or {}).writeto(own)
-            except UnicodeEncodeError as error:
-                raise InputError(
-                    f"{path}: FITS files can contain only ASCII text ({error}); write .ecsv instead"
-                ) from error
-            except (InputError, OSError):
-                raise
-            except Exception as error:  # astropy can raise any exception for columns that FITS cannot represent
-                raise InputError(
-                    f"{path}: the table cannot be written as FITS: {sentence(error)}; write .ecsv instead"
-                ) from error
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
-            with opener(own, "wt", encoding="utf-8", newline="\n") as file:
-                table.write(file, format="ascii.ecsv")
+            with _writing(f"{path}: the table", "ECSV"), opener(own, "wt", encoding="utf-8", newline="\n") as file:
+                # astropy cannot write a quantity whose name is unit
+                (Table(table) if "unit" in table.colnames else table).write(file, format="ascii.ecsv")
+
+
+@contextmanager
+def _writing(what: str, kind: str, remedy: str = "") -> Iterator[None]:
+    """Convert all exceptions of a writer of another package to an InputError, except those of `written`."""
+    try:
+        yield
+    except UnicodeEncodeError as error:
+        if kind != "FITS":
+            raise
+        raise InputError(f"{what} has other text: FITS files can contain only ASCII text ({error}){remedy}") from error
+    except (InputError, OSError):
+        raise
+    except Exception as error:  # astropy can raise any exception for columns that a format cannot represent
+        raise InputError(f"{what} cannot be written as {kind}: {sentence(error)}{remedy}") from error
 
 
 def check_fits_text(columns: dict, remedy: str) -> None:
@@ -179,15 +188,27 @@ def _to_hdus(table, cards, name, others):
         plain = one.copy(copy_data=False)
         plain.meta = {}
         about = {column.info.name: column.info.description for column in plain.itercols()}
+        units = {one.info.name: one.unit for one in plain.itercols() if getattr(one, "unit", None) is not None}
+        odd = {key: str(unit) for key, unit in units.items() if not _is_fits_unit(unit)}
+        for key in odd:
+            plain[key] = np.asarray(plain[key].value)
         for column in plain.itercols():
             column.info.description = None  # the description is written to the header instead
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # ignore warnings about units and names that the FITS standard lacks
             hdu = fits.table_to_hdu(plain)
-        hdu.header.update(table_cards(title, list(about), about))
+        hdu.header.update(table_cards(title, list(about), about, odd))
         hdu.header.update({**(cards or {}), **meta} if one is table else {})
         found.append(hdu)
     return found
+
+
+def _is_fits_unit(unit: object) -> bool:
+    """Return whether astropy writes a unit to FITS files such that it can be read; other units are written as text."""
+    try:
+        return is_known(unit, Unit(unit).to_string("fits"), format="fits")
+    except ValueError:
+        return False
 
 
 def table_cards(name: str | None, columns: list[str], about: dict, units: dict | None = None) -> dict:
@@ -301,8 +322,9 @@ def _fits_template(dtype: np.dtype, fixed: tuple):
 
     file = io.BytesIO()
     fits.PrimaryHDU().writeto(file)
-    header = fits.BinTableHDU(np.zeros(1, dtype)).header
-    header.update(dict(fixed))
+    with _writing(f"the columns {listed(dtype.names)}", "FITS"):
+        header = fits.BinTableHDU(np.zeros(1, dtype)).header
+        header.update(dict(fixed))
     types = {"b": lambda t: np.dtype("u1"), "U": lambda t: np.dtype(f"S{max(t.itemsize // 4, 1)}")}
     disk = [(name, types.get(dtype[name].kind, lambda t: t.newbyteorder(">"))(dtype[name])) for name in dtype.names]
     image = header.tostring(sep="", endcard=False, padding=False).encode("ascii")

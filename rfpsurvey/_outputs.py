@@ -1,8 +1,11 @@
-"""Check the paths of outputs before they are computed."""
+"""Check the paths of outputs before they are computed, and text that files cannot contain."""
 
 import os
 from collections.abc import Iterable
 from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
 
 from rfpsurvey._readers import is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError, check_switch
@@ -77,3 +80,24 @@ def check_new_folder(path: str | os.PathLike) -> Path:
     if is_present(path):
         raise InputError(f"{path} exists; give the name of a new folder")
     return path
+
+
+def check_text(values: object, name: str) -> None:
+    """Raise an error for text with control characters or line separators, which tables in files cannot contain."""
+    values = np.asarray(values, dtype=str)
+    if values.size == 0 or values.dtype.itemsize == 0:
+        return
+    codes = np.ascontiguousarray(values).view(np.uint32).reshape(values.size, -1)
+    strange = (codes < 0x20) | ((codes >= 0x7F) & (codes < 0xA0)) | ((codes >= 0xD800) & (codes < 0xE000))
+    strange |= (codes == 0x2028) | (codes == 0x2029)
+    strange &= np.arange(codes.shape[1]) < np.char.str_len(values).reshape(-1, 1)  # zeros follow shorter text
+    if (rows := strange.any(axis=1)).any():
+        text = str(values.flat[np.argmax(rows)])
+        raise InputError(f"{name} must be valid Unicode text without line breaks and control characters, got {text!a}")
+
+
+def check_texts(table: Table, what: object) -> None:
+    """Raise an error if a column of a table contains text with control characters or line separators."""
+    for column in table.itercols():
+        if column.dtype.kind == "U":
+            check_text(np.ma.filled(column, ""), f"{what}: the column {column.info.name!r}")

@@ -1,6 +1,7 @@
 """Convert input, which can have units and masks, to float64 arrays in mm, in radians, or without unit."""
 
 from collections.abc import Collection, Iterable
+from dataclasses import fields
 from numbers import Integral, Number
 
 import astropy.units as u
@@ -13,12 +14,43 @@ from astropy.coordinates import (
     UnitSphericalCosLatDifferential,
     UnitSphericalRepresentation,
 )
+from astropy.table import Table
+from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import is_number
-from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, listed, refusal, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, InputUnitsError, listed, refusal, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128
+
+
+class ByValue:
+    """Base class of frozen dataclasses of settings, which are equal if all their values, units and types are equal."""
+
+    def __eq__(self, other):
+        return _value_of(self) == _value_of(other) if type(self) is type(other) else NotImplemented
+
+    def __hash__(self):
+        return hash(_value_of(self))
+
+
+def _value_of(value: object) -> object:
+    """Return an object that can be compared and hashed, and that is equal for equal values; NaN is equal to NaN."""
+    if isinstance(value, ByValue):
+        return tuple(_value_of(getattr(value, one.name)) for one in fields(value) if one.compare)
+    if isinstance(value, u.Quantity):
+        return str(value.unit), _value_of(value.value)
+    if isinstance(value, Time):
+        return value.scale, _value_of(np.asarray(value.jd1)), _value_of(np.asarray(value.jd2))
+    if isinstance(value, SkyCoord):
+        return repr(value.frame.replicate_without_data()), _value_of(value.data.to_cartesian().xyz)
+    if isinstance(value, Table):
+        return tuple((name, _value_of(value[name])) for name in value.colnames)
+    if isinstance(value, np.ndarray | np.void):
+        return np.shape(value), str(value.dtype), tuple(value.ravel()) if value.dtype.hasobject else value.tobytes()
+    if isinstance(value, dict):
+        return frozenset((name, _value_of(one)) for name, one in value.items())
+    return tuple(map(_value_of, value)) if isinstance(value, list | tuple) else value
 
 
 def locked(array: np.ndarray) -> np.ndarray:
@@ -42,7 +74,7 @@ def to_unit(value: object, unit: u.UnitBase, name: str) -> np.ndarray:
         )
     try:
         return np.array(_filled(value).to_value(unit), dtype=np.float64, order="C")
-    except u.UnitConversionError:
+    except INCONVERTIBLE:  # the unit is not convertible, or astropy does not know it
         needed = f"have a unit convertible to {unit}" if str(unit) else "be a number without a unit"
         raise InputUnitsError(f"{name} must {needed}, got {value.unit if str(value.unit) else short(value)}") from None
 
@@ -156,8 +188,11 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
     """Return an array without unit and mask; masked numbers become NaN, and masked text becomes empty."""
     values = getattr(column, "value", column)
-    mask = np.asarray(getattr(column, "mask", False))
-    values = np.asarray(getattr(values, "unmasked", values))
+    try:
+        mask = np.asarray(getattr(column, "mask", False))
+        values = np.asarray(getattr(values, "unmasked", values))
+    except INCONVERTIBLE:  # rows of different lengths
+        raise InputTypeError(f"{name} must hold {what}, got {short(column)}") from None
     values = values.astype(values.dtype.newbyteorder("="), copy=False)  # tables in FITS files are big-endian
     if values.dtype.kind == "S":
         try:
@@ -205,7 +240,7 @@ def to_flags(value: object, name: str) -> np.ndarray:
             strange = str(words[~(yes | no)].flat[0])
             raise InputError(f"{name} must hold booleans or numbers, got text such as {strange!r}")
         return yes
-    return np.nan_to_num(values.astype(float)) != 0
+    return np.nan_to_num(to_numbers(values, name)) != 0
 
 
 def to_labels(value: object, name: str) -> np.ndarray:
@@ -243,7 +278,7 @@ def to_numbers(value: object, name: str, *, unitless: bool = False) -> np.ndarra
     values = to_dimensionless(value, name) if unitless else to_plain(value, name)
     try:
         numbers = values.astype(float)
-    except (TypeError, ValueError, OverflowError) as error:  # integers of Python can exceed the range of floats
+    except INCONVERTIBLE as error:
         raise InputError(f"{name} must be numbers: {error}") from None
     if values.dtype.kind in "iu" and values.size and (wide := (values > 2**53) | (values < -(2**53))).any():
         raise InputError(
@@ -285,13 +320,14 @@ def to_visits(visits: object, n: int) -> np.ndarray:
         values = to_dimensionless(visits, "visits").astype(float)
     except InputError:
         raise
-    except (TypeError, ValueError, OverflowError):
+    except INCONVERTIBLE:
         raise InputError(f"visits must be whole numbers, got {short(visits)}") from None
     if values.shape not in ((), (n,)):
         raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")
-    strange = values[~((values >= 0) & (values <= MOST_VISITS) & (values == np.floor(values)))]
+    low = 0 if values.ndim else 1  # without any visits, there is nothing to plan
+    strange = values[~((values >= low) & (values <= MOST_VISITS) & (values == np.floor(values)))]
     if strange.size:
-        raise InputError(f"visits must be whole numbers from 0 to {MOST_VISITS}, got {strange.flat[0]:g}")
+        raise InputError(f"visits must be whole numbers from {low} to {MOST_VISITS}, got {strange.flat[0]:g}")
     return np.broadcast_to(values.astype(np.uint8), (n,)).copy()
 
 
@@ -303,7 +339,7 @@ def to_generator(rng: object) -> np.random.Generator:
         if isinstance(rng, Integral) and rng >= MOST_SEED:
             raise ValueError
         return np.random.default_rng(rng)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise refusal("rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None", rng, Number) from None
 
 

@@ -8,12 +8,13 @@ from contextlib import contextmanager
 from contextvars import ContextVar
 from difflib import get_close_matches
 from functools import wraps
-from numbers import Integral, Number
+from numbers import Integral, Number, Real
 from typing import TypeVar
 
 from astropy.units import UnitsError
 
 __all__ = [
+    "INCONVERTIBLE",
     "InputError",
     "InputTypeError",
     "InputUnitsError",
@@ -25,6 +26,8 @@ __all__ = [
     "check_switch",
     "check_whole",
     "close_to",
+    "is_real",
+    "items_of",
     "listed",
     "number_of",
     "one_line",
@@ -38,6 +41,8 @@ __all__ = [
     "warn_of_unused",
 ]
 
+INCONVERTIBLE = TypeError, ValueError, OverflowError
+"""Exceptions of Python, NumPy and astropy for values that they cannot convert; floats cannot contain all integers."""
 T = TypeVar("T", bound=Callable)
 LONGEST = 60
 # Of a word that has more than three times this number of characters, a message contains the beginning and the end.
@@ -45,6 +50,7 @@ WORD = 100
 LONG_GAP = re.compile(r"\s{9,}")
 LONG_WORD = re.compile(rf"[^\s/\\]{{{3 * WORD + 1},}}")  # paths are divided into the names of folders
 MOST_CHOICES = 60
+LARGEST = 1.7e308
 MOST_WHOLE = 2**53
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
 # text that the error message suggests if the function has the present parameter.
@@ -117,6 +123,24 @@ def check_whole(value: object, name: str, low: int = 1, high: int | None = None)
         limits = f"from {low} to 2^53" if wide else f"of at least {low}" if high is None else f"from {low} to {high}"
         raise refusal(f"{name} must be a whole number {limits}", value, Number)
     return int(value)
+
+
+def is_real(value: object) -> bool:
+    """Return whether a value is a number, but not a boolean, that is not too large for a float; NaN is a number."""
+    return isinstance(value, Real) and not isinstance(value, bool) and not LARGEST < abs(value) < float("inf")
+
+
+def items_of(value: object, text: str, *single: type) -> list:
+    """Return the items of a list, or a list of one item if this item has one of the types ``single``.
+
+    ``text`` is the beginning of the error message for objects that have no items.
+    """
+    if isinstance(value, single):
+        return [value]
+    try:
+        return list(value)
+    except TypeError:
+        raise refusal(text, value, list) from None
 
 
 def warn(text: str) -> None:

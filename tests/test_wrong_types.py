@@ -1,12 +1,16 @@
 """All arguments of all public functions refuse objects of a wrong type; messages do not contain the whole object."""
 
 import inspect
+import warnings
+from decimal import Decimal
+from fractions import Fraction
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from astropy.time import Time
 
 import rfpsurvey as rs
 
@@ -67,6 +71,24 @@ CALLS = [
     (rs.compare_allocators, {"catalog": SKY, "instrument": SMALL, "center": CENTER}),
     (rs.compare_instruments, {"catalog": SKY, "instruments": [SMALL]}),
     (rs.design.LossOptions, {}),
+    (
+        rs.design.explore_designs,
+        {
+            "central_arm": 8 * MM,
+            "ratio": 1,
+            "pitch": 26 * MM,
+            "clearance": 2 * MM,
+            "loss": rs.design.LossOptions(method="surrogate"),
+        },
+    ),
+    (rs.ObservingConditions, {"site": "paranal", "hour_angle": 1 * u.hourangle}),
+    (rs.JointOptions, {}),
+    (rs.Margins, {}),
+    (rs.survey.VisitRule, {}),
+    (rs.KeepOut, {"circles": rs.Region.cap(CENTER, 1 * DEG)}),
+    (rs.Required, {"ids": [1]}),
+    (rs.tiling.Centers, {}),
+    (PLANE.inverse, {"xy": PLANE.xy}),
     (rs.write_report, {"path": "x.html", "result": TILING}),
 ]
 
@@ -100,6 +122,8 @@ ALSO = {
     "synthetic_catalog-min_separation": {"kind": "poisson_disc"},
     "synthetic_catalog-cluster_size": CLUSTERED,
     "synthetic_catalog-cluster_scale": CLUSTERED,
+    "explore_designs-overwrite": {"path": "x.ecsv"},
+    "ObservingConditions-time": {"hour_angle": None},
     "find_collisions-theta": {"tips": None, "phi": [0, 0, 0] * DEG},
     "find_collisions-phi": {"tips": None, "theta": [0, 0, 0] * DEG},
     "collision_probability-center": {"instrument": SMALL, "targets": SKY},
@@ -144,6 +168,82 @@ def test_an_object_of_a_wrong_type_is_a_type_error(monkeypatch, tmp_path, call, 
     with pytest.raises(rs.InputTypeError) as told:
         call(**{**given, name: Strange()})
     assert len(str(told.value)) < 400
+
+
+VALUES = {
+    "a number that is too large for a float": 10**400,
+    "such a number in a list": [10**400],
+    "a length": 3 * MM,
+    "an array": np.arange(3),
+    "lists of different lengths": [[1], [2, 3]],
+    "a number with an underscore": "1_0",
+}
+FURTHER = {
+    "another such number": -(10**400),
+    "lengths": [3] * MM,
+    "no angles": [] * DEG,
+    "an empty list in a list": [[]],
+    "a matrix": np.ones((2, 2)),
+    "an array without dimensions": np.array(3),
+    "not a number": np.nan,
+    "true": True,
+    "bytes": b"x",
+    "empty text": "",
+    "an empty tuple": (),
+    "an empty dict": {},
+    "a complex number": 1j,
+    "a decimal number": Decimal("1.5"),
+    "a fraction": Fraction(1, 3),
+    "a masked value": np.ma.masked,
+    "a time": Time("J2020"),
+    "times": Time(["J2020", "J2021"]),
+    "a long number": np.longdouble("1e4000"),
+    "a subnormal number": 5e-324,
+    "a large number": 1.7e308,
+    "a large length": 10**300 * MM,
+    "an unknown length": np.nan * MM,
+    "text with a null character": "a\0b",
+    "half of a pair of characters": "\ud800",
+    "long text": "9" * 5000,
+    "objects": np.array([None, {}], dtype=object),
+    "a set": {1, 2},
+    "a unit": MM,
+    "no time": np.datetime64("NaT"),
+    "a function": lambda *_: None,
+    "directions": TWO,
+    "a range": range(3),
+    "an array of text": np.array(["a", "b"]),
+    "a unit of the user": 3 * u.def_unit("mine"),
+    "a table": TABLE,
+}
+
+
+def refuse_or_accept(call, given, name, values):
+    for value in values.values():
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            try:
+                call(**{**given, name: value})
+            except rs.InputError as error:
+                told = str(error)
+            else:
+                continue
+        assert told.isprintable()
+        assert len(told) < 1000
+
+
+@pytest.mark.parametrize(("call", "given", "name"), list(cases()))
+def test_odd_values_are_accepted_or_refused_in_a_sentence(monkeypatch, tmp_path, call, given, name):
+    """Regression: for such values, functions ended in errors of Python, NumPy and astropy."""
+    monkeypatch.chdir(tmp_path)
+    refuse_or_accept(call, given, name, VALUES)
+
+
+@pytest.mark.exhaustive
+@pytest.mark.parametrize(("call", "given", "name"), list(cases()))
+def test_further_odd_values_are_accepted_or_refused_in_a_sentence(monkeypatch, tmp_path, call, given, name):
+    monkeypatch.chdir(tmp_path)
+    refuse_or_accept(call, given, name, FURTHER)
 
 
 @pytest.mark.parametrize(

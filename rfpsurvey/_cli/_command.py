@@ -130,7 +130,7 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
         word = None
     for text in typed["set"] or []:
         _plan_file.add_text(keys, values, text, earlier)
-    if word:
+    if word not in (None, []):
         add(keys, values, argument, word)
     for name, option in spelled.items():
         value, key = typed[_variable(option)], keys[name]
@@ -140,8 +140,6 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
             value = pairs(value, option)
         for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
             if isinstance(one, str):
-                if not one.strip():
-                    raise InputError(f"{option} must have a value, got {one!r}")
                 _plan_file.add_text(keys, values, f"{name}={one}", earlier)
             else:
                 add(keys, values, name, one)

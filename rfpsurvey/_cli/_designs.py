@@ -6,6 +6,7 @@ from astropy.table import vstack
 
 import rfpsurvey as rs
 from rfpsurvey._cli._print import files, print_text
+from rfpsurvey._readers import parse_number
 from rfpsurvey.design import AXES
 
 __all__ = ["axes", "finish"]
@@ -43,8 +44,8 @@ def _axis(name, text, n_designs):
         text = f"{USUAL[name]}:{NODES}" if ":" in USUAL[name] and n_designs is None else USUAL[name]
     words = text.split(":") if ":" in text else text.split(",")
     try:
-        numbers = [float(word) for word in words[:2]] if ":" in text else [float(word) for word in words]
-        nodes = int(words[2]) if ":" in text and len(words) == 3 else None
+        numbers = [parse_number(word) for word in (words[:2] if ":" in text else words)]
+        nodes = parse_number(words[2], int) if ":" in text and len(words) == 3 else None
         if ":" in text and len(words) > 3:
             raise ValueError
     except ValueError:

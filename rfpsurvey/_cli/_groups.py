@@ -10,6 +10,7 @@ from astropy.time import Time
 import rfpsurvey as rs
 from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._methods import help_of
+from rfpsurvey._readers import parse_number
 from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, listed
 
@@ -25,7 +26,7 @@ def margins_of_text(text: str) -> dict:
     for part in rest if found else parts:
         name, _, value = part.partition("=")
         try:
-            number = float(value)
+            number = parse_number(value)
         except ValueError:
             number = None
         if number is None or name in found or first == "off":

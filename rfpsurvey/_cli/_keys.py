@@ -20,7 +20,8 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey.errors import InputError, InputTypeError, check_whole, close_to, short
+from rfpsurvey._readers import has_other_digits
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_whole, close_to, short
 from rfpsurvey.region import Region
 
 __all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
@@ -205,8 +206,9 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
         if isinstance(value, kind) and (inside := key.inside(kind)):
             for one in value.values() if kind is dict else value:
                 _check(key, one, inside)
-    if key.is_path and value == "":
-        raise InputError(f"{key.name} must be {key.words}, got ''")
+    for one in value if isinstance(value, list) else [value]:
+        if isinstance(one, str) and not one.strip():
+            raise InputError(f"{key.name} must be {key.words}, got {one!r}; leave it out to use the default value")
     if key.is_path and isinstance(value, str) and base is not None:
         value = located(value, base, always=Located not in key.extra)
     entries = values.get(key.name)
@@ -265,8 +267,10 @@ def _to_quantity(key: Key, value: object) -> object:
     if isinstance(value, dict):
         return {name: _to_quantity(key, one) for name, one in value.items()}
     try:
+        if isinstance(value, str) and has_other_digits(value):
+            raise ValueError(value)
         found = u.Quantity([_to_quantity(key, one) for one in value] if isinstance(value, list) else value)
-    except (TypeError, ValueError, OverflowError):
+    except INCONVERTIBLE:
         raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
     if isinstance(value, list):
         return found

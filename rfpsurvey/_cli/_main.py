@@ -10,6 +10,7 @@ from concurrent.futures import BrokenExecutor
 from contextlib import suppress
 from functools import cache
 from importlib import import_module
+from itertools import pairwise
 from typing import Annotated
 
 import typer
@@ -126,6 +127,7 @@ def run() -> int:
     warnings.filterwarnings("ignore", module="astropy")
     code = 0
     try:
+        _check_words(["rfpsurvey", *sys.argv[1:]])
         commands()()
     except SystemExit as stop:  # typer raises SystemExit when a command ends, even if a pipe was closed
         code = READER_GONE if isinstance(stop.__context__, BrokenPipeError) else stop.code
@@ -134,6 +136,16 @@ def run() -> int:
     except (rs.InputError, OSError, BrokenExecutor) as error:
         code = _complain(error)
     return _flush(code)
+
+
+def _check_words(words: list[str]) -> None:
+    """Raise an error for an empty word, such as the value of a variable of the shell that is not set."""
+    for before, word in pairwise(words):
+        if not word.strip():
+            raise rs.InputError(f"the word after {before} must not be empty, got {word!r}")
+        option, sign, value = word.partition("=")
+        if option.startswith("--") and sign and not value.strip():
+            raise rs.InputError(f"{option} must have a value, got {value!r}")
 
 
 def _show_warning(message: Warning | str, *_: object) -> None:

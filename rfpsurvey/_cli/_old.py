@@ -4,6 +4,7 @@ from collections.abc import Callable
 from shlex import quote
 
 from rfpsurvey._cli._keys import Key, Part
+from rfpsurvey._readers import is_number
 from rfpsurvey.errors import warn
 
 __all__ = ["rewritten"]
@@ -22,6 +23,11 @@ def _column(text: str) -> tuple[str, str]:
     value = text.removeprefix("epoch=J")
     is_epoch = value != text and value.replace(".", "", 1).isdigit()
     return ("catalog.epoch", f"J{value}") if is_epoch else ("catalog.columns", text)
+
+
+def _targets(text: str) -> tuple[str, str]:
+    """Return the number of targets per positioner for a number, and otherwise the coloring of the targets in a plot."""
+    return "targets_per_positioner" if is_number(text) else "output.targets", text
 
 
 FLAGS = {
@@ -45,7 +51,7 @@ OPTIONS: dict[str, str | Callable[[str], tuple[str, str]]] = {
     "--pass": "tiles.passes",
     "--realizations": "n_realizations",
     "--order": "order",
-    "--targets": "output.targets targets_per_positioner",
+    "--targets": _targets,
     "--unit": "catalog.units",
     "--hdu": "catalog.hdu",
     "--fill": "catalog.fill",

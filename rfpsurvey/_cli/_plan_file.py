@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import tomllib
 from collections.abc import Collection
 from dataclasses import MISSING
@@ -80,7 +81,9 @@ def _value(text: str) -> object:
         found = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text
-    return found["value"] if len(found) == 1 else text
+    # of the forms of numbers in TOML, only decimal numbers are likely to be intended on a command line
+    other = re.search(r"\d_\d|\b0[box]", re.sub(r"'[^']*'|\"[^\"]*\"", "", text))
+    return found["value"] if len(found) == 1 and not other else text
 
 
 def to_toml(keys: dict, values: dict, folder: Path, *, title: str, documented: bool) -> str:

@@ -1,7 +1,7 @@
 """Functions that print the results of commands and write files with the results."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import partial
 from textwrap import fill
 
@@ -11,7 +11,14 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from rfpsurvey._io import output_path, suffix_of, write_table
 from rfpsurvey.errors import brief
-from rfpsurvey.report import estimate_facts, tile_facts, tile_objectives, tiling_facts
+from rfpsurvey.report import (
+    estimate_facts,
+    rules_of_tile,
+    tile_facts,
+    tile_objectives,
+    tile_problems,
+    tiling_facts,
+)
 
 __all__ = [
     "PICTURES",
@@ -46,28 +53,33 @@ def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterat
     """Write the output files before the summary is printed, and print their names after the summary.
 
     The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
+    If writing one of them fails or is interrupted, there are no new files.
     ``output`` contains the keys of the outputs. ``write`` writes the file with the given path, and ``draw`` and
     ``quality`` return the figures of the files ``plot`` and ``quality``. ``report`` contains the result and the options
     of `write_report`.
     """
-    written = []
-    path = getattr(output, "path", None)
-    if write is not None and path is not None:
-        write(path, overwrite=output.overwrite)
-        written.append(path)
+    writers = []
+    if write is not None:
+        writers.append((getattr(output, "path", None), lambda path, own: write(own)))
     for path, figure in ((output.plot, draw), (getattr(output, "quality", None), quality)):
-        if path is None:
-            continue
-        with output_path(path, PICTURES, overwrite=output.overwrite) as temporary:
-            figure().savefig(temporary, dpi=200, format=path.suffix[1:].lower())
-        written.append(path)
-    if output.report is not None:
-        result, options = report
-        rs.write_report(result, output.report, overwrite=output.overwrite, **options)
-        written.append(output.report)
+        writers.append((path, lambda path, own, figure=figure: _save(figure(), own, path)))
+    writers.append((output.report, lambda path, own: rs.write_report(report[0], own, **report[1])))
+    writers = [(path, call) for path, call in writers if path is not None]
+    with ExitStack() as stack:  # all files are renamed when all of them are complete
+        for path, call in writers:
+            own = stack.enter_context(output_path(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
+            try:
+                call(path, own)
+            except rs.InputError as error:
+                raise type(error)(str(error).replace(str(own), str(path))) from error
     yield
-    for path in written:
+    for path, _ in writers:
         print(f"wrote {path}")
+
+
+def _save(figure, own, path) -> None:
+    """Write a figure to a temporary file, in the format of the final path."""
+    figure.savefig(own, dpi=200, format=path.suffix[1:].lower())
 
 
 def finish(tile: "rs.Tile", output) -> None:
@@ -162,7 +174,10 @@ def _first(axes):
 def print_summary(tile: "rs.Tile") -> None:
     """Print the summary of a tile, one value per line."""
     name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
-    print(f"{name}, allocator {values['allocator']}")
+    layout = f", {tile.provenance['instrument'].get('layout', '')}" if values["allocator"] == "scored" else ""
+    print(f"{name}{layout.rstrip(', ')}, allocator {values['allocator']}")
+    for text in tile_problems(tile):
+        print_text(text)
     if "ra_deg" in values:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
@@ -215,7 +230,7 @@ def _print_rules(tile: "rs.Tile") -> None:
     if tile.rules is None:
         return
     print("constraint, number, limit, verdict, and positioners that violate it:")
-    for one in tile.rules:
+    for one in rules_of_tile(tile.rules):
         number = [] if np.isnan(one["number"]) else [f"{one['number']:.6g} ({one['limit']})"]
         fibers = [f"positioners {brief(tuple(one['fibers'].split()))}"] if one["fibers"] else []
         words = "; ".join([*number, *filter(None, [one["note"]]), *fibers])

@@ -8,7 +8,7 @@ from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located
 from rfpsurvey._cli._print import print_text
 from rfpsurvey.errors import InputError
-from rfpsurvey.instrument import Instrument, every_instrument, fact_texts
+from rfpsurvey.instrument import Instrument, arm_classes, every_instrument, fact_texts
 
 EXAMPLES = """\b
 Examples:
@@ -69,7 +69,7 @@ def _print_one(model: Instrument) -> None:
         print_text(paragraph, "")
         if paragraph:
             print()
-    for label, text in fact_texts(model.facts()).items():
+    for label, text in _texts_of(model).items():
         print_text(f"{label:<22}{text}", " " * 22)
     print()
     for row in model.to_table():
@@ -77,9 +77,14 @@ def _print_one(model: Instrument) -> None:
         print_text(f"    {row['status']}: {row['source']}", "        ")
 
 
+def _texts_of(model: Instrument) -> dict[str, str]:
+    """Return the labels and values of facts; the lengths of the arms in the facts are medians of all positioners."""
+    return fact_texts(model.facts() | {"arms": arm_classes(model)})
+
+
 def _print_columns(models: list[Instrument]) -> None:
     """Print a table that compares several instruments, with one column for each instrument."""
-    columns = [fact_texts(model.facts()) for model in models]
+    columns = [_texts_of(model) for model in models]
     widths = [max(len(model.name), *map(len, texts.values())) for model, texts in zip(models, columns, strict=True)]
     rows = {"": [model.name for model in models]}
     rows |= {label: [texts[label] for texts in columns] for label in columns[0]}

@@ -8,6 +8,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _command, _examples, _main
 from rfpsurvey._cli._print import print_text
+from rfpsurvey._readers import parse_number
 from rfpsurvey.errors import listed, number_of
 
 
@@ -25,8 +26,10 @@ def record(
     enough: Annotated[
         float,
         typer.Option(
+            parser=parse_number,
+            metavar="ENOUGH",
             help="Smallest fraction of the exposure at which a tile counts as done; with a smaller fraction, it is "
-            "partly observed. It has no effect on rows with a state."
+            "partly observed. It has no effect on rows with a state.",
         ),
     ] = 1.0,
     tile: Annotated[str | None, typer.Option(help="The tile of all rows of a table without a column of tiles.")] = None,

@@ -105,8 +105,8 @@ def score(keys: ScoreKeys, _: Given) -> None:
     if keys.options.rules is not None:
         constraints = [*(constraints or ()), *model.rules(keys.options.rules)]
     tile = rs.score_tile(table, model, **options, constraints=constraints)
-    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
     _print.finish(tile, keys.output)
+    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
 
 
 def _time_of(table, epoch: object) -> Time | None:

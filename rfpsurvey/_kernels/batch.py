@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import check, fill_idle, place, shape
-from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, find_colliding, halve
+from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, find_colliding, halve, squared_limit
 
 # Columns of ``counts``.
 PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, ASSIGNED, COUNTED, BORDERLINE = range(7)
@@ -58,7 +58,7 @@ def mark_colliding(setup, workspace, slack):
     if setup.runs.shape[0] > 0:
         halve(w.segments, w.halves)
         n, borderline = find_colliding(w.segments, w.halves, setup.runs, setup.limits, w.first, w.second, w.squared)
-        limit = setup.limits.separation**2
+        limit = squared_limit(setup.limits)
         for k in range(n):
             if w.squared[k] < limit:
                 n_pairs += 1

@@ -36,6 +36,9 @@ REJECT_ERROR = 64.0 * UNIT
 # The search for the nearest arm skips arms that are farther away than the nearest arm found, by at least this length
 # (mm), which exceeds all rounding errors.
 MARGIN = 1e-9
+# If the minimum separation is 0, arms collide if their squared distance (mm2) is less than this number; the distance of
+# arms that cross is 0.
+CROSSING = 1e-300
 # The loop over a run of neighbors is not vectorized if the run contains fewer pairs than this number.
 SHORT_RUN = 8
 
@@ -71,6 +74,12 @@ def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, po
     error = 1.2 * DISTANCE_ERROR * size  # the factor 1.2 covers the rounding of separation^2 and of the comparison
     error += outline_error
     return Limits(separation, slack, length + separation + slack, 2.0 * error * (separation + error), outline, polygons)
+
+
+@kernel
+def squared_limit(limits):
+    """Return the squared distance below which two arms collide; if the minimum separation is 0, arms that cross do."""
+    return limits.separation**2 if limits.separation > 0.0 else CROSSING
 
 
 @kernel
@@ -260,7 +269,7 @@ def colliding_pairs(segments, halves, runs, limits, first, second, squared):
     borderline pairs among them.
     """
     n = borderline = 0
-    limit, band = limits.separation**2, limits.band
+    limit, band = squared_limit(limits), limits.band
     for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
         d2 = pair_squared(segments, i, j)
@@ -278,7 +287,7 @@ def colliding_outlines(segments, halves, runs, limits, first, second, squared):
     This function is separate from `colliding_pairs`, because it takes longer to compile.
     """
     n = borderline = 0
-    limit, band = limits.separation**2, limits.band
+    limit, band = squared_limit(limits), limits.band
     for k in range(near_pairs(halves, runs, limits, first, second)):
         i, j = first[k], second[k]
         d2 = outlined_squared(segments, i, j, limits, i, j)

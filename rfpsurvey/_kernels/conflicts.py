@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared
+from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared, squared_limit
 
 # Number of candidate pairs that are tested together.
 BATCH = 2048
@@ -48,7 +48,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     """
     n = 0
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
-    touching, limit, band = limits.separation + limits.slack, limits.separation**2, limits.band
+    touching, limit, band = limits.separation + limits.slack, squared_limit(limits), limits.band
     near2 = limits.near**2
     outlined = limits.outline.start.size > 1
     size = start[-1]
@@ -107,7 +107,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 def keep_outlined(n, own, segments, limits, first, second, borderline):
     """Test the first n candidate pairs, and keep those whose outlines collide, in place; return their number."""
     m = 0
-    limit, band = limits.separation**2, limits.band
+    limit, band = squared_limit(limits), limits.band
     for k in range(n):
         a, b = first[k], second[k]
         d2 = outlined_squared(segments, a, b, limits, own[a], own[b])

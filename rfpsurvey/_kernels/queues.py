@@ -12,7 +12,14 @@ import numpy as np
 
 from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
-from rfpsurvey._kernels.collisions import halve, keep_near, obstacle_distance, outlined_squared, pair_squared
+from rfpsurvey._kernels.collisions import (
+    halve,
+    keep_near,
+    obstacle_distance,
+    outlined_squared,
+    pair_squared,
+    squared_limit,
+)
 
 # Number of pairs of entries that are tested together.
 BATCH = 2048
@@ -122,7 +129,7 @@ def expect(pairs, geometry, setup, entries, expected):
     mid_x, mid_y, back = np.empty(longest), np.empty(longest), np.empty(longest)
     first, second = np.empty(BATCH + longest, np.int64), np.empty(BATCH + longest, np.int64)
     x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
-    touching, limit = limits.separation + limits.slack, limits.separation**2
+    touching, limit = limits.separation + limits.slack, squared_limit(limits)
     near2 = limits.near**2
     outlined = limits.outline.start.size > 1
     for p in range(pairs.shape[0]):

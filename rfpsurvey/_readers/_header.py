@@ -4,7 +4,7 @@ import re
 from itertools import islice
 from pathlib import Path
 
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import INCONVERTIBLE, InputError
 
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
 DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
@@ -79,7 +79,19 @@ def _split(line: bytes, delimiter: bytes) -> list[str]:
 def is_number(text: object) -> bool:
     """Return whether a value of a table, such as text, can be read as a number."""
     try:
-        float(text)
-    except (TypeError, ValueError):
+        parse_number(text)
+    except INCONVERTIBLE:
         return False
     return True
+
+
+def parse_number(text: object, kind: type = float) -> float:
+    """Return the number in a text; text such as 1_0, which only Python reads as a number, is a ValueError."""
+    if isinstance(text, str) and ("_" in text or has_other_digits(text)):
+        raise ValueError(f"{text!r} is not a decimal number")
+    return kind(text)
+
+
+def has_other_digits(text: str) -> bool:
+    """Return whether a text contains decimal digits other than 0 to 9, such as Arabic ones, which Python reads."""
+    return not text.isascii() and any(c.isdecimal() and not c.isascii() for c in text)

@@ -52,7 +52,7 @@ def is_present(path: Path) -> bool:
     """Return whether there is a file, a folder or a link with this path, even if it cannot be read."""
     try:
         path.lstat()
-    except (FileNotFoundError, NotADirectoryError):
+    except (FileNotFoundError, NotADirectoryError, ValueError):  # or the path contains a null character
         return False
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}") from error

@@ -14,6 +14,7 @@ from rfpsurvey.errors import InputError
 # The memory of the values of all rows is limited to MOST_RATIO times the size of the file or to FREE bytes, whichever
 # is larger. MOST_RATIO is large because repeated values take little space in the file.
 MOST_RATIO, FREE = 1000, 2**28
+UNITS_KEY = b"table_meta_yaml"
 
 
 def import_parquet():
@@ -126,9 +127,18 @@ def _with_index(table: Table, metadata: dict) -> Table:
     return table
 
 
+def unit_metadata(table: Table) -> dict[bytes, bytes]:
+    """Return the metadata with which astropy states the units of the columns of a table in a Parquet file."""
+    from astropy.table import meta
+
+    plain = Table(table[:0])
+    plain.meta = {}
+    return {UNITS_KEY: "\n".join(meta.get_yaml_from_table(plain)).encode()}
+
+
 def _with_units(table: Table, metadata: dict, where: str = "") -> Table:
     """Return the table with the units and coordinate columns that astropy wrote to the metadata."""
-    text = metadata.get(b"table_meta_yaml")
+    text = metadata.get(UNITS_KEY)
     if text is None:
         return table
     from astropy.table import meta, serialize

@@ -51,7 +51,9 @@ ZIPPED = (".gz", ".bz2", ".xz")
 
 
 def to_path(path: object) -> Path:
-    """Convert text or a path object to a `pathlib.Path`."""
+    """Convert text or a path object to a `pathlib.Path`; refuse empty text, which would name the current folder."""
+    if isinstance(path, str) and not path.strip():
+        raise InputError(f"a path must not be empty, got {path!r}")
     try:
         return Path(path)
     except TypeError:

@@ -270,9 +270,9 @@ def _labels(values, n, name):
 
 def _marked(required, n):
     """Convert the rows of the required targets to a boolean array over all targets."""
-    if required is None or np.size(required) == 0:
+    rows = np.atleast_1d(to_dimensionless([] if required is None else required, "required"))
+    if rows.size == 0:
         return None
-    rows = np.atleast_1d(to_dimensionless(required, "required"))
     if rows.dtype.kind not in "iu" or rows.ndim != 1:
         raise InputTypeError(
             f"required must be row numbers of targets (whole numbers), got {rows.dtype.name} of the shape {rows.shape}"

@@ -13,7 +13,7 @@ from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.constraints import named_plugins
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice
 from rfpsurvey.focal_plane import elbow_names
 
 GROUP = "rfpsurvey.allocators"
@@ -158,5 +158,5 @@ def _plain(given: object) -> np.ndarray:
     """Convert the return value of an allocator to an array; if this is impossible, return an array of shape (0, 0)."""
     try:
         return to_plain(given)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         return np.empty((0, 0))

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import hashing
 from rfpsurvey._units import rows_of, to_plain
-from rfpsurvey.errors import InputError, InputTypeError, listed, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, listed, short
 
 # Seed of the hash by which ``optimal`` breaks ties.
 TIE_SEED = 0
@@ -128,7 +128,7 @@ def check_values(values: object, n: int, what: str) -> np.ndarray:
     plain = to_plain(values, what, "numbers")
     try:
         numbers = plain.astype(float)
-    except ValueError as error:
+    except INCONVERTIBLE as error:
         raise InputError(f"{what} must be numbers: {error}") from None
     return check_one_each(numbers, n, what)
 

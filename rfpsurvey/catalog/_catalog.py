@@ -61,7 +61,8 @@ class Catalog:
         Number of rows that were removed before this catalog was made, because their coordinates were not finite.
     extra : dict or Table, optional
         Further columns that results include, such as magnitudes. Columns contain numbers, text or booleans, with or
-        without units. Missing numbers become NaN, and missing text becomes empty. Allocators do not read these columns.
+        without units. Missing numbers become NaN, missing text becomes empty, and text loses the blanks at its ends.
+        Text must not contain control characters. Allocators do not read these columns.
     subpriority : array_like of float, shape (n,), optional
         Order of the targets within each priority class, as the option ``subpriority`` of `AllocationOptions`, which
         replaces this column.

@@ -8,8 +8,10 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
-from rfpsurvey._readers import without_unit
-from rfpsurvey.errors import InputError, InputTypeError, listed, short
+from rfpsurvey._outputs import check_text
+from rfpsurvey._readers import is_known, without_unit
+from rfpsurvey._units import to_plain
+from rfpsurvey.errors import InputError, InputTypeError, listed, short, warn
 
 RESERVED = frozenset(
     (
@@ -43,13 +45,17 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
 def extra_columns(columns: object, n: int) -> QTable | None:
     """Convert columns to numbers, quantities, booleans or text, with one value for each of n targets.
 
-    Missing numbers become NaN, and missing text becomes empty.
+    Missing numbers become NaN, and missing text becomes empty. The columns can be written to all formats of files
+    except for characters outside ASCII: text has no blanks at its ends, and numbers have at most 64 bits.
     """
     if columns is None:
         return None
     if not isinstance(columns, Mapping | Table):
         raise InputTypeError(f"extra must be a dict or a table of columns, got {type(columns).__name__}")
     names = columns.colnames if isinstance(columns, Table) else list(columns)
+    for name in map(str, names):
+        if not name.isprintable() or name != name.strip() or not name:
+            raise InputError(f"the name of a column in keep must be text without blanks at its ends, got {name!a}")
     found = QTable({str(name): _plain(columns[name], str(name)) for name in names})
     if len(found) != n:
         raise InputError(f"columns of extra must have one value for each of the {n} targets, got {len(found)} values")
@@ -86,7 +92,11 @@ def _plain(column, name):
         )
     kind = KINDS[values.dtype.kind]
     if kind == "U":
-        return np.where(missing, "", values.astype(str))
+        values = np.char.strip(np.where(missing, "", to_plain(values, f"column {name!r} in keep")))
+        check_text(values, f"column {name!r} in keep")
+        return values
+    if kind == "f" and values.dtype.itemsize not in (4, 8):  # files contain numbers of 32 or 64 bits
+        values = values.astype(float)
     if missing.any() and kind == "i" and np.abs(values[~missing].astype(float)).max(initial=0) >= MOST_EXACT:
         raise InputError(
             f"column {name!r} in keep must not have missing values: missing values become NaN, but floats cannot "
@@ -101,6 +111,9 @@ def _plain(column, name):
     if unit is None or unit == u.dimensionless_unscaled:
         return values
     if values.dtype.kind == "i" and without_unit(values, f"the column {name!r}", unit):
+        return values
+    if not is_known(unit):
+        warn(f"the column {name!r} is kept without its unit, {unit}, whose name astropy does not know")
         return values
     return values.astype(float) * u.Unit(unit)
 

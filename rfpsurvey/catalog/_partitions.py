@@ -11,8 +11,8 @@ from astropy.table import MaskedColumn, Table
 
 from rfpsurvey import _healpix
 from rfpsurvey._io import temporary_folder, to_path
-from rfpsurvey._outputs import check_new_folder
-from rfpsurvey._readers import import_parquet
+from rfpsurvey._outputs import check_new_folder, check_texts
+from rfpsurvey._readers import import_parquet, unit_metadata
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
 from rfpsurvey.catalog._hats import columns_and_rows, main_table, properties_of
@@ -205,9 +205,10 @@ def partition_catalog(
     fine = _healpix.pixels_of(2**INDEX_ORDER, vectors)
     along = np.argsort(fine, kind="stable")
     table = catalog[along].to_table()
+    check_texts(table, folder)
     columns = {f"_healpix_{INDEX_ORDER}": fine[along]}
     columns.update((name, np.asarray(getattr(table[name], "value", table[name]))) for name in table.colnames)
-    content = pa.table(columns)
+    content = pa.table(columns, metadata=unit_metadata(table))
     pixel = fine[along] >> 2 * (INDEX_ORDER - order)
     pixels, first = np.unique(pixel, return_index=True)
     with temporary_folder(folder) as temporary:

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._units import to_center, to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog._catalog import Catalog
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal, warn_no_effect
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_keywords, is_real, refusal, warn_no_effect
 
 CLUSTER_SIZE = 10.0
 MOST = 1e9  # largest number of targets, because larger catalogs would not fit into memory
@@ -111,7 +111,7 @@ def _expected_number(kind, cap, n_targets, density):
         raise InputError(f"n_targets or density must be given for a {kind} catalog")
     try:
         number = float(number)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise refusal("the number of targets must be a single number", number, str) from None
     if not 0 <= number <= MOST:
         raise InputError(f"the number of targets must be from 0 to {MOST:.0e}, got {number:g}")
@@ -186,7 +186,7 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     if cluster_scale is None:
         raise InputError("cluster_scale must be given for a clustered catalog")
     sigma = np.deg2rad(to_scalar(cluster_scale, u.deg, "cluster_scale", low=0, high=28))
-    if not isinstance(cluster_size, Number) or not 1e-3 <= cluster_size <= MOST:
+    if not is_real(cluster_size) or not 1e-3 <= cluster_size <= MOST:
         raise refusal(f"cluster_size must be from 0.001 to {MOST:.0e}", cluster_size, Number)
     # Clusters with centers outside the circle also have members inside the circle. A margin of 6 sigma omits a fraction
     # of 1e-8 of these members.

@@ -36,12 +36,13 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
     option, default units are assumed only if no column of positions or proper motions has a unit. A warning is then
     issued, except for tables that cannot have units, such as DataFrames, and for tables of surveys.
     """
+    columns, units, fill = ({} if one is None else one for one in (columns, units, fill))
     table, is_plain = as_table(table, columns)
     table, selected = select_rows(table, select)
     table, ledger = _last_entries(table)
     assume_units = assume_units or is_plain
     extra = None if keep is None else pick_columns(table, keep, _names_in_results(table, columns, frame))
-    find, roles = Finder(table, columns or {}, units or {}, fill=fill or {}), catalog_roles(frame)
+    find, roles = Finder(table, columns, units, fill=fill), catalog_roles(frame)
     find.assume_units = assume_units or not find.has_units(roles)
     category = find.labels("category")
     kind, (visits, unset) = find.labels("kind"), _visits(find)
@@ -155,7 +156,6 @@ def _ids(find: Finder) -> np.ndarray | None:
 
 def _names_in_results(table, columns, frame):
     """Return the names of the columns that all results contain anyway, with unchanged names and values."""
-    columns = columns or {}
     has_coordinates = any(isinstance(column, SkyCoord) for column in table.columns.values())
     roles = ["id", "priority", "kind", "category"]
     roles += ["ra", "dec"] if frame.lower() == "icrs" and not has_coordinates else []

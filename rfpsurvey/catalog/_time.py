@@ -8,8 +8,9 @@ import numpy as np
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
+from rfpsurvey._readers import parse_number
 from rfpsurvey._units import rows_of
-from rfpsurvey.errors import InputError, refusal, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, is_real, refusal, short
 
 FIRST, LAST = 1700, 2300
 DATED = Time, date, np.datetime64
@@ -23,7 +24,7 @@ def to_time(value: object, name: str, *, gaps: bool = False, one: bool = False) 
     try:
         found = _of_date(value)
         found = _of_years(_as_number(value)) if found is None else found
-    except (ValueError, TypeError, u.UnitConversionError):
+    except INCONVERTIBLE:
         text = (
             f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date such as 2026-07-01"
         )
@@ -45,7 +46,7 @@ def to_moment(value: object, name: str) -> Time:
         found = None
     if found is None:
         year = _as_number(value)
-        known = isinstance(year, Number) and FIRST < year < LAST
+        known = is_real(year) and FIRST < year < LAST
         remedy = f"; the Julian year {year} is {_of_years(year).utc.isot[:16]} in this form" if known else ""
         raise refusal(f"{text}{remedy}", value, Number, str)
     if not found.isscalar or found.mask:
@@ -73,7 +74,7 @@ def _of_date(value: object) -> Time | None:
 def _as_number(value: object) -> object:
     """Return the number of a text such as "2026.5" or "J2026.5"; return other values unchanged."""
     try:
-        return float(value.strip().removeprefix("J")) if isinstance(value, str) else value
+        return parse_number(value.strip().removeprefix("J")) if isinstance(value, str) else value
     except ValueError:
         return value
 

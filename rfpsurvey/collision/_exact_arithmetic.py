@@ -14,7 +14,7 @@ from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
 
 
 def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
-    """Return whether two arms are closer than the minimum separation, without rounding.
+    """Return whether two arms are closer than the minimum separation or, if it is 0, touch, without rounding.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j
 
 
 def closer_exactly(first, second, separation: float | Fraction) -> bool:
-    """Return whether two segments (x0, y0, x1, y1) are closer than ``separation``, without rounding.
+    """Return whether two segments (x0, y0, x1, y1) are closer than ``separation`` or, if it is 0, touch or cross.
 
     All numbers are converted to a common denominator. The test needs no division after this conversion, so all
     arithmetic uses integers.
@@ -43,11 +43,10 @@ def closer_exactly(first, second, separation: float | Fraction) -> bool:
     common = lcm(*(q for _, q in ratios))
     *ends, limit = (p * (common // q) for p, q in ratios)
     a, b, c, d = zip(ends[::2], ends[1::2], strict=True)
-    if limit <= 0:
-        return False
     if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
         return True
-    return _near(a, c, d, limit) or _near(b, c, d, limit) or _near(c, a, b, limit) or _near(d, a, b, limit)
+    ends = (a, c, d), (b, c, d), (c, a, b), (d, a, b)
+    return any(_near(*three, limit, closed=limit == 0) for three in ends)
 
 
 def distance_exactly(first, second) -> float:
@@ -63,8 +62,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
 
     ``first`` and ``second`` are the segments (x0, y0, x1, y1), from the elbow along the eccentric arm, that determine
     the poses of the positioners i and j. A polygon is the convex hull of its vertices, whose positions relative to the
-    elbow or center are rounded to double precision. If the radii of two polygons and the separation are 0,
-    these polygons collide if they overlap or cross, but not if they only touch.
+    elbow or center are rounded to double precision. If the separation is 0, outlines that touch collide.
     """
     placed = [_placed_vertices(outline, k, core) for k, core in ((i, first), (j, second))]
     radii = [Fraction(radius) for radius in outline.parts[RADIUS].tolist()]
@@ -76,7 +74,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     n = outline.n_eccentric
     for p, q in product(range(len(radii)), repeat=2):
         limit = int((Fraction(separation) + radii[p] + radii[q]) * common)
-        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], limit):
+        if (p < n or q < n) and _polygons_closer(hulls[0][p], hulls[1][q], limit, closed=separation == 0):
             return True
     return False
 
@@ -125,12 +123,12 @@ def _hull(points):
     return hull or ordered
 
 
-def _polygons_closer(first, second, limit):
-    """Return whether two convex polygons overlap or are closer than ``limit``."""
+def _polygons_closer(first, second, limit, *, closed=False):
+    """Return whether two convex polygons overlap or are closer than ``limit``; if ``closed``, also at the limit."""
     if len(first) + len(second) > 2 and not (_separated(first, second) or _separated(second, first)):
         return True
     sides = (product(first, _edges(second)), product(second, _edges(first)))
-    return any(_near(point, *edge, limit) for side in sides for point, edge in side)
+    return any(_near(point, *edge, limit, closed=closed) for side in sides for point, edge in side)
 
 
 def _edges(polygon):
@@ -150,10 +148,11 @@ def _orientation(a, b, p):
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 
 
-def _near(p, a, b, limit):
-    """Return whether the point p is closer than ``limit`` to the segment a-b."""
+def _near(p, a, b, limit, *, closed=False):
+    """Return whether the point p is closer than ``limit`` to the segment a-b; if ``closed``, also at the limit."""
     numerator, denominator = _squared(p, a, b)
-    return numerator < limit**2 * denominator
+    most = limit**2 * denominator
+    return numerator < most or (closed and numerator == most)
 
 
 def _squared(p, a, b):

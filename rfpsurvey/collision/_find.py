@@ -45,8 +45,9 @@ def find_collisions(
 
     The arm model of the positioners (see `~rfpsurvey.Positioner`) states which part of an arm can collide. Two
     positioners collide if and only if the distance between these parts of their arms is strictly less than D; parts
-    that cross have the distance 0. An arm collides with an obstacle if the distance from the arm to the edge of
-    the obstacle is less than the clearance d of the arm.
+    that cross have the distance 0. If D is 0, parts that touch or cross collide (method ``exact`` and ``cuda``). An arm
+    collides with an obstacle if the distance from the arm to the edge of the obstacle is less than the clearance d of
+    the arm.
 
     Parameters
     ----------

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rfpsurvey._kernels import collisions
 from rfpsurvey._kernels.batch import N_COUNTS
 from rfpsurvey.errors import InputError
 
@@ -22,7 +23,7 @@ def find_pairs(segments, pairs, limits):
     found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
     n = cuda.to_device(np.zeros(1, dtype=np.int64))
     blocks = -(-len(pairs) // gpu.THREADS)
-    reject2, limit = (limits.separation + limits.slack) ** 2, limits.separation**2 + limits.band
+    reject2, limit = (limits.separation + limits.slack) ** 2, collisions.squared_limit(limits) + limits.band
     gpu.list_pairs[blocks, gpu.THREADS](cuda.to_device(segments), first, second, reject2, limit, found, squared, n)
     n = int(n.copy_to_host()[0])
     rows = found.copy_to_host()[:n]
@@ -44,7 +45,7 @@ def make_scorer(columns, setup):
     indptr, neighbor, parked = (cuda.to_device(v) for v in (*columns.both_ways, setup.parked))
     circle_indptr = cuda.to_device(np.searchsorted(setup.obstacle_pairs[:, 0], np.arange(n + 1)))
     circles = cuda.to_device(np.vstack([setup.obstacles[setup.obstacle_pairs[:, 1]], np.zeros((1, 3))]))  # never empty
-    reject2, limit = (limits.separation + limits.slack) ** 2, limits.separation**2
+    reject2, limit = (limits.separation + limits.slack) ** 2, collisions.squared_limit(limits)
 
     def score(points, side):
         m = len(points)

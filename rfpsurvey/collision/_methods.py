@@ -99,7 +99,7 @@ def sweep(case: Configuration) -> Found:
     squared = np.empty(len(first))
     reference.swept(poses, posed.assigned, first, second, squared)
     limits = plane.arrays.limits
-    near = squared < limits.separation**2 + limits.band  # because of this allowance, no pair is missed
+    near = squared < collisions.squared_limit(limits) + limits.band  # because of this allowance, no pair is missed
     return Found(first[near], second[near], np.sqrt(squared[near]))
 
 
@@ -158,7 +158,7 @@ def _scratch(case):
 def _settle(case, first, second, squared):
     """Return the pairs that collide; exact arithmetic decides pairs for which rounding could change the result."""
     limits = case.plane.arrays.limits
-    edge = np.flatnonzero(squared >= limits.separation**2 - limits.band)
+    edge = np.flatnonzero(squared >= collisions.squared_limit(limits) - limits.band)
     if len(edge):
         keep = np.ones(len(squared), dtype=bool)
         for k in edge:

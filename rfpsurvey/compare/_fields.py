@@ -22,6 +22,7 @@ from rfpsurvey.errors import (
     InputTypeError,
     RfpsurveyWarning,
     check_whole,
+    is_real,
     refusal,
     short,
     used_elsewhere,
@@ -78,7 +79,7 @@ def allocators_of(allocators, options: AllocationOptions | None, others: dict) -
 def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
     """Return fields of random targets for each instrument, with the same density per positioner or per solid angle."""
     check_whole(number, "n_realizations", 1, 1_000_000)
-    if isinstance(each, bool) or not isinstance(each, int | float | np.number) or not 0 < each < np.inf:
+    if not is_real(each) or not 0 < each < np.inf:
         raise refusal("targets_per_positioner must be a positive number", each, Number)
     center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
     seed, fields = int(to_generator(rng).integers(2**63)), []

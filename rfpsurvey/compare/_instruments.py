@@ -1,7 +1,7 @@
 """Comparison of several instruments, with the same targets or with the same number of targets per positioner."""
 
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import Executor
 from dataclasses import replace
 
@@ -14,7 +14,7 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, name_of_best, packages, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
 from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
+from rfpsurvey.errors import InputError, check_choice, items_of
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
 from rfpsurvey.tile import versions
@@ -251,11 +251,9 @@ def parts_of(table: QTable) -> dict[str, QTable]:
 
 def _models(instruments) -> list[Instrument]:
     """Return the instruments; raise an error if two instruments have the same name."""
-    if isinstance(instruments, str | Instrument):
-        instruments = [instruments]
-    if not isinstance(instruments, Iterable | None):
-        raise InputTypeError(f"instruments must be a list of instruments, got {short(instruments)}")
-    models = [as_instrument(one) for one in (every_instrument().values() if instruments is None else instruments)]
+    given = every_instrument().values() if instruments is None else instruments
+    given = items_of(given, "instruments must be a list of instruments", str, Instrument)
+    models = [as_instrument(one) for one in given]
     if not models:
         raise InputError("instruments must contain at least one instrument, got none")
     names = [model.name for model in models]

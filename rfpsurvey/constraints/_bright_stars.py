@@ -7,12 +7,14 @@ from functools import cached_property, partial
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._readers import parse_number
+from rfpsurvey._units import exact_text
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.constraints._constraint import ConstraintField
 from rfpsurvey.constraints._rule import check_text
 from rfpsurvey.constraints._stars import StarRule
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_choice, check_keywords, number_of, refusal
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_keywords, number_of, refusal
 
 CORE = {"sdssv_bright": (1.75, 0.6), "sdssv_dark": (1.5, 0.8)}
 """Factor (arcsec) and exponent of the core of a star in bright and in dark time, as in mugatu (BSD-3) of SDSS-V."""
@@ -157,11 +159,15 @@ class BrightStars(StarRule):
 def _text_of(radius: object) -> str:
     """Return the text of a table or formula of radii; raise an error if it is not valid."""
     try:
-        pairs = radius if isinstance(radius, str) else ",".join(f"{float(m):.15g}:{float(r):.15g}" for m, r in radius)
+        pairs = (
+            radius
+            if isinstance(radius, str)
+            else ",".join(f"{exact_text(float(m))}:{exact_text(float(r))}" for m, r in radius)
+        )
         _function_of(pairs)
     except InputError:
         raise
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise refusal(f"the radius around bright stars must be {FORM}", radius, str, list) from None
     return pairs
 
@@ -170,10 +176,10 @@ def _function_of(text: str) -> Callable:
     """Return the function of the magnitudes for the text of a table or formula of radii."""
     name, _, limit = text.partition(":")
     if name in CORE:
-        if not np.isfinite(float(limit)):
+        if not np.isfinite(parse_number(limit)):
             raise ValueError(limit)
-        return partial(_sdssv, limit=float(limit), core=CORE[name])
-    m, radii = np.array([[float(word) for word in pair.split(":")] for pair in text.split(",")]).reshape(-1, 2).T
+        return partial(_sdssv, limit=parse_number(limit), core=CORE[name])
+    m, radii = np.array([[parse_number(word) for word in pair.split(":")] for pair in text.split(",")]).reshape(-1, 2).T
     if not (np.isfinite(m).all() and np.isfinite(radii).all() and (radii >= 0).all() and (np.diff(m) > 0).all()):
         raise InputError(
             f"the radius around bright stars must have ascending magnitudes and radii of at least 0, got {text!r}"

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from rfpsurvey._readers import parse_number
 from rfpsurvey._units import values_at
 from rfpsurvey.constraints._abilities import EXACTLY, LEVELS, ONLY_CHECKED, Abilities
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, listed, number_of
+from rfpsurvey.errors import INCONVERTIBLE, InputError, listed, number_of
 from rfpsurvey.projection import FieldProjection
 
 if TYPE_CHECKING:
@@ -223,7 +224,7 @@ class Constraint:
                 return cls(*values)
         except InputError:
             raise
-        except (ValueError, TypeError) as error:
+        except INCONVERTIBLE as error:
             raise InputError(f"{cls.form()}, got {arguments!r}: {error}") from None
         raise InputError(f"{cls.form()}, got {arguments!r}")
 
@@ -387,4 +388,4 @@ def _text_of(value: object) -> str:
 
 
 METHODS = {"exclusion": "excluded", "obstacles": "obstacles"}
-CONVERTERS = {"float": float, "int": int, "str": str}
+CONVERTERS = {"float": parse_number, "int": lambda text: parse_number(text, int), "str": str}

@@ -139,10 +139,12 @@ def as_circles(keep_out: object) -> tuple[Region, ...]:
 
 
 def circle_text(region: Region) -> str:
-    """Return a circle in the form ``cap RA DEC RADIUS`` (deg), with all digits."""
-    lon, lat = to_lonlat(region.values[:3])
-    degrees = np.rad2deg([lon % (2 * np.pi), lat, region.values[3]])
-    return " ".join(["cap", *(repr(value) for value in degrees.tolist())])
+    """Return a circle in the form ``cap RA DEC RADIUS`` (deg), with the numbers that were given or with all digits."""
+    degrees = region.degrees
+    if degrees is None:
+        lon, lat = to_lonlat(region.values[:3])
+        degrees = np.rad2deg([lon % (2 * np.pi), lat, region.values[3]]).tolist()
+    return " ".join(["cap", *map(repr, degrees)])
 
 
 def image_of_circle(

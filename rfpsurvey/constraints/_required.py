@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey._units import to_labels
+from rfpsurvey._units import to_labels, to_plain
 from rfpsurvey.constraints._constraint import Constraint, ConstraintField
 from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords, short
@@ -139,13 +139,16 @@ class Required(Constraint):
 
 def as_required(required: object) -> tuple[int, ...] | tuple[str, ...]:
     """Return the distinct identifiers of required targets in the given order; all are integers or all are text."""
-    if required is None or np.size(required) == 0:
+    given = np.atleast_1d(to_plain([] if required is None else required, "required", "ids of targets"))
+    if given.size == 0:
         return ()
-    names = to_labels(np.atleast_1d(required), "required")
-    if np.asarray(required).dtype.kind == "b":
+    names = to_labels(given, "required")
+    if given.dtype.kind == "b":
         raise InputTypeError("required must contain ids of targets (integers or text), got booleans")
     if names.ndim != 1:
         raise InputError(f"required must be a one-dimensional list of target ids, got the shape {names.shape}")
+    if "" in names.tolist():
+        raise InputError("required must contain ids of targets that are not empty, got ''")
     return tuple(dict.fromkeys(names.tolist()))
 
 

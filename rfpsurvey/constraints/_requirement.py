@@ -10,9 +10,9 @@ import numpy as np
 from rfpsurvey._roles import KINDS, has_role
 from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.constraints._group import Group
-from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, listed, refusal, short
+from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, items_of, listed, refusal, short
 
-NUMBERS = r"(?:(\d{1,9})|(\d{1,9})?\s*-\s*(\d{1,9}))"
+NUMBERS = r"(?:([0-9]{1,9})|([0-9]{1,9})?\s*-\s*([0-9]{1,9}))"
 FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*([^/\s][^/]*))?")
 PLAIN = re.compile(r"[^'\s@=/<>](?:[^@=/<>]*[^\s@=/<>])?")
 MOST = 10**9
@@ -195,11 +195,8 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
     """Convert one or several requirements, given as objects or text, to a tuple of requirements."""
     if given is None:
         return ()
-    given = [given] if isinstance(given, str | Requirement) else given
-    if not isinstance(given, Iterable):
-        raise refusal("requirements must be a list of Requirement or text", given, list)
     found = []
-    for one in given:
+    for one in items_of(given, "requirements must be a list of Requirement or text", str, Requirement):
         if not isinstance(one, str | Requirement):
             text = "a requirement must be a Requirement or text such as 'sky=20/spectrograph'"
             raise InputError(f"{text}, got {short(one)}")

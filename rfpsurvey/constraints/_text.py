@@ -13,7 +13,7 @@ import numpy as np
 from rfpsurvey._plugins import Plugin, find_plugin, plugin_names
 from rfpsurvey.constraints._constraint import Constraint
 from rfpsurvey.constraints._requirement import FORM, KINDS, Requirement
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusal, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, items_of, refusal, short
 
 GROUP = "rfpsurvey.constraints"
 """Entry-point group by which packages add constraints."""
@@ -70,9 +70,8 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     >>> as_constraints("sky=20/spectrograph")
     (Requirement('sky=20/spectrograph'),)
     """
-    given = () if given is None else [given] if isinstance(given, str | Constraint) else given
-    if not isinstance(given, Iterable):
-        raise refusal("constraints must be a list of constraints or text", given, list)
+    given = () if given is None else given
+    given = items_of(given, "constraints must be a list of constraints or text", str, Constraint)
     return tuple(_as_constraint(one) for one in given)
 
 

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_mm, to_plain
-from rfpsurvey.errors import InputError, check_whole
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_whole, refusal
 
 AXES = ("central_arm", "ratio", "pitch", "clearance")
 MOST = 10_000_000
@@ -18,10 +18,9 @@ def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance
     axes = {name: to_mm(value, name) for name, value in lengths.items()}
     try:
         axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
-    except (TypeError, ValueError, u.UnitConversionError):
-        raise InputError(
-            f"ratio (eccentric arm length divided by central arm length) must be one or several numbers, got {ratio!r}"
-        ) from None
+    except INCONVERTIBLE:
+        text = "ratio (eccentric arm length divided by central arm length) must be one or several numbers"
+        raise refusal(text, ratio, str, int, list, np.ndarray) from None
     for name, values in axes.items():
         wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
         if wrong.size:

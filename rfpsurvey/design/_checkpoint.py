@@ -12,7 +12,7 @@ from rfpsurvey._folder import locked
 from rfpsurvey._io import WRITABLE, check_output, read_table, to_path, write_table
 from rfpsurvey.design._axes import AXES
 from rfpsurvey.design._rows import ROW, digest_of, to_rows, to_table
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, check_switch
 from rfpsurvey.tile import versions
 
 EVERY = 10.0  # seconds
@@ -38,7 +38,8 @@ class Checkpoint:
     def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):
         self.meta = {"request": json.loads(json.dumps(request)), "software": versions()}
         self._path, self._designs = path if path is None else to_path(path), designs
-        self._resume, self._overwrite = resume, overwrite
+        resume = check_switch(resume, "resume")
+        self._resume, self._overwrite = resume, check_switch(overwrite, "overwrite")
         self.parts: list[np.ndarray] = []
         self.done = 0
         if path is None and resume:

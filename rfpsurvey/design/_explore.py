@@ -9,7 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._progress import Progress
-from rfpsurvey._units import is_seed_given, to_radian, to_seed
+from rfpsurvey._units import is_seed_given, to_scalar, to_seed
 from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
 from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
@@ -188,7 +188,7 @@ def scan(
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
     loss.warn_of_unused(["rng"] if n_designs is None and is_seed_given(rng) else [])
-    task = Task(*loss.question, float(to_radian(step, "step")), *loss.targets, loss.n_skies, loss.seconds, seed)
+    task = Task(*loss.question, to_scalar(step, u.rad, "step"), *loss.targets, loss.n_skies, loss.seconds, seed)
     designs = to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)

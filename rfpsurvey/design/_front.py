@@ -4,7 +4,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import check_choice, refusal
 
 OBJECTIVES = {"coverage": "max", "loss": "min"}
 
@@ -13,7 +13,8 @@ def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, 
     """Return the two objectives (a dict from column to "max" or "min"), or raise an error."""
     pairs = list(objectives.items()) if isinstance(objectives, dict) else []
     if len(pairs) != 2:
-        raise InputError(f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}, got {objectives}")
+        text = f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}"
+        raise refusal(text, objectives, dict)
     for name, direction in pairs:
         check_choice(name, columns, "column for an objective")
         check_choice(direction, ("max", "min"), f"direction of {name}")

@@ -9,6 +9,7 @@ from rfpsurvey.design._axes import AXES
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.instrument import Instrument, arm_facts
 
+N_POINTS = 2**16
 SAME = 1e-9
 """Two designs are equal if the relative differences of their parameters are below this value."""
 
@@ -41,6 +42,12 @@ def start_of(model: Instrument) -> Start:
         raise InputError(
             f"{model.name} must have no margins, because the designs of a scan have none, got "
             f"{model.focal_plane.margins}; use the instrument without with_margins"
+        )
+    if "module" in (model.focal_plane.groups or {}):
+        reach = 1 - model.focal_plane.coverage(n_points=N_POINTS, rng=0)[0]
+        warn(
+            f"the designs are infinite lattices without the gaps between the modules of {model.name}: all values refer "
+            f"to the lattice inside a module; positioners of {model.name} reach {reach:.3f} of its focal plane"
         )
     own = model.focal_plane.positioner.arm_model
     if "elbow_to_tip" in model.arm_models:

@@ -41,7 +41,10 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
     if handedness is None:
         side = columns.sides(points, own, fiber)
     else:
-        names = np.broadcast_to(to_plain(handedness, "handedness").astype(str), n)
+        names = to_plain(handedness, "handedness").astype(str)
+        if names.shape not in ((), (n,)):
+            raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
+        names = np.broadcast_to(names, n)
         for name in np.unique(names):
             check_choice(str(name), ("right", "left"), "handedness of an arm")
         side = np.where(names == "left", -1.0, 1.0)

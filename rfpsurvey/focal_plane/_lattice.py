@@ -1,13 +1,12 @@
 """Hexagonal lattices."""
 
-from collections.abc import Iterable
 from numbers import Number
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, refusal, short
+from rfpsurvey._units import to_numbers, to_scalar
+from rfpsurvey.errors import InputError, items_of, refusal, short
 
 
 def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
@@ -22,10 +21,12 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
             isinstance(value, int | float | np.integer) and least <= value <= most and value % 1 == 0
         ):
             raise refusal(f"{name} must be a whole number from {least} to {most}", value, Number)
-    if rows_along not in ("x", "y"):
+    if not (isinstance(rows_along, str) and rows_along in ("x", "y")):
         raise refusal("rows_along must be 'x' or 'y'", rows_along, str)
-    if not isinstance(vacant, Iterable):
-        raise InputTypeError(f"vacant must be a list of cells (q, k), got {short(vacant)}")
+    text = "vacant must be a list of cells (q, k)"
+    vacant = [to_numbers(cell, "vacant") for cell in items_of(vacant, text)]
+    if any(cell.shape != (2,) for cell in vacant):
+        raise InputError(f"{text}, got {short(vacant)}")
     hole = to_scalar(inner_radius, u.mm, "inner_radius", low=0, closed=True)
     edge = np.inf if radius is None else to_scalar(radius, u.mm, "radius", low=0)
     if rings is not None:
@@ -47,9 +48,9 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     keep = (np.round(r / step, 9) >= np.round(hole / step, 9)) & (np.round(r / step, 9) <= np.round(edge / step, 9))
     cells = np.column_stack([q, k])
     for cell in vacant:
-        hit = (cells == np.asarray(cell)).all(axis=1)
+        hit = (cells == cell).all(axis=1)
         if not hit.any():
-            raise InputError(f"vacant cell {tuple(cell)} is not on the lattice of {n} rings")
+            raise InputError(f"vacant cell ({cell[0]:g}, {cell[1]:g}) is not on the lattice of {n} rings")
         keep &= ~hit
     if count is not None:
         angle = np.round(np.mod(np.arctan2(xy[:, 1], xy[:, 0]), 2 * np.pi), 9)

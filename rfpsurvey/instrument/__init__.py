@@ -1,7 +1,7 @@
 """Instruments, each with a focal plane, optics and the sources of all values; presets are data files."""
 
 from rfpsurvey.instrument._compare_projections import ProjectionComparison, choose_projection, compare_projections
-from rfpsurvey.instrument._facts import arm_facts, fact_texts
+from rfpsurvey.instrument._facts import arm_classes, arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (
     Instrument,
     as_focal_plane,
@@ -17,6 +17,7 @@ __all__ = [
     "PFI_ANGLE",
     "Instrument",
     "ProjectionComparison",
+    "arm_classes",
     "arm_facts",
     "as_focal_plane",
     "as_instrument",

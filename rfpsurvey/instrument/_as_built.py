@@ -6,6 +6,7 @@ from typing import Self
 
 from astropy.time import Time
 
+from rfpsurvey._readers import reading
 from rfpsurvey.instrument import _desi, _sdssv
 from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
 
@@ -72,7 +73,8 @@ class AsBuilt:
         >>> desi.layout, len(desi.focal_plane)  # doctest: +SKIP
         ('as built', 5000)
         """
-        return _desi.read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
+        with reading(path, "an instrument as built"):
+            return _desi.read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
 
     @classmethod
     def from_pfs(
@@ -112,7 +114,8 @@ class AsBuilt:
         InputError
             If a file is incomplete, lacks a column, or has values that are impossible for PFS.
         """
-        return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
+        with reading(dots, "an instrument as built"):
+            return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
 
     @classmethod
     def from_sdssv(
@@ -153,4 +156,5 @@ class AsBuilt:
         >>> sdss.name, sdss.layout, len(sdss.focal_plane)  # doctest: +SKIP
         ('sdss_apo', 'as built', 500)
         """
-        return _sdssv.read(cls.preset, folder, site=site, disabled=disabled)
+        with reading(folder, "an instrument as built"):
+            return _sdssv.read(cls.preset, folder, site=site, disabled=disabled)

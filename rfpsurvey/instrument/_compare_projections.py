@@ -174,7 +174,7 @@ def choose_projection(
     """
     check_conditions(conditions, optional=True)
     compared = None if conditions is None else _compare(instrument, plane, [conditions])
-    if model == "auto":
+    if isinstance(model, str) and model == "auto":
         if compared is None:
             model = "radial"
         elif compared.sufficient is None:

@@ -11,6 +11,7 @@ from rfpsurvey.instrument._entries import STATUSES
 
 N_POINTS = 2**18
 """Number of points at which coverage and multiplicity are computed; their standard errors are then below 0.001."""
+MOST_CLASSES = 4
 N_DIRECTIONS = 1440
 N_PIECES = 8
 """Number of pieces into which each edge of the field is divided, because straight edges on the focal plane are curved
@@ -81,6 +82,17 @@ def arm_facts(instrument) -> dict[str, u.Quantity]:
         **{name: float(np.median(values)) * u.mm for name, values in columns.items()},
         "min_separation": arrays.separation * u.mm,
     }
+
+
+def arm_classes(instrument) -> str:
+    """Return text with the lengths of both arms, in mm, and the number of positioners of each class of arms."""
+    arrays = instrument.focal_plane.arrays
+    lengths = np.round(np.column_stack([arrays.central_arm, arrays.eccentric_arm]), 6)
+    classes, numbers = np.unique(lengths, axis=0, return_counts=True)
+    if len(classes) > MOST_CLASSES:
+        low, high = lengths.min(axis=0), lengths.max(axis=0)
+        return " + ".join(f"{a:.5g} to {b:.5g}" for a, b in zip(low, high, strict=True)) + " mm"
+    return ", ".join(f"{a:.5g} + {b:.5g} mm: {n}" for (a, b), n in zip(classes, numbers, strict=True))
 
 
 def field_angles(instrument, radius: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ from astropy.time import Time
 from rfpsurvey._display import to_html
 from rfpsurvey._io import to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
+from rfpsurvey._readers import is_present
 from rfpsurvey.errors import (
     InputError,
     InputTypeError,
@@ -198,7 +199,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules
         """
         path = to_path(path)
         moments_at(time)  # refuse an invalid time, even if the description has no states with dates
-        if path.exists() and path.suffix.lower() != ".toml":
+        if is_present(path) and path.suffix.lower() != ".toml":
             found = cls._read_as_built(path, time)
             if found is not None:
                 return found

@@ -207,7 +207,7 @@ def moments_at(time: object) -> list[datetime]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        return sorted({moment_of(one, "time") for one in np.atleast_1d(to_time(time, "time"))})
+        return sorted({moment_of(one, "time") for one in to_time(time, "time").ravel()})
 
 
 def _time_text(moments: list[datetime]) -> str:

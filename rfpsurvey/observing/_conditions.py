@@ -3,6 +3,7 @@
 import os
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -11,9 +12,18 @@ from astropy.time import Time
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_toml
-from rfpsurvey._units import to_scalar
+from rfpsurvey._units import ByValue, to_scalar
 from rfpsurvey.catalog import to_moment
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
+from rfpsurvey.errors import (
+    INCONVERTIBLE,
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    listed,
+    refusal,
+    short,
+)
 from rfpsurvey.observing._sites import as_site, location
 
 LONGEST_DAYS = 0.5
@@ -32,7 +42,7 @@ RATE = 1.00273781191135448 * 2 * np.pi / 86400
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class ObservingConditions:
+class ObservingConditions(ByValue):
     """Place, time, weather and wavelengths of an observation, from which refraction is computed.
 
     Parameters
@@ -143,8 +153,8 @@ class ObservingConditions:
             raise InputError("humidity must have a value, got a masked value; leave it out to use the default value")
         try:
             humidity = u.Quantity(self.humidity)
-        except TypeError:
-            raise InputTypeError(f"humidity must be a number from 0 to 1, got {short(self.humidity)}") from None
+        except INCONVERTIBLE:
+            raise refusal("humidity must be a number from 0 to 1", self.humidity, Number, list) from None
         to_scalar(humidity, u.dimensionless_unscaled, "humidity", low=0, high=1 + 1e-12, closed=True)
         object.__setattr__(self, "humidity", float(humidity))
         to_scalar(self.exposure_time, u.day, "exposure_time", low=0, high=LONGEST_DAYS, closed=True)
@@ -330,7 +340,7 @@ def _from_text(name: str, value: object, path: object) -> object:
         if isinstance(value, dict):
             return {kind: u.Quantity(text) for kind, text in value.items()}
         return u.Quantity(value)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise InputError(f"{path}: {name} must be text such as {EXAMPLES[name]!r}, got {short(value)}") from None
 
 

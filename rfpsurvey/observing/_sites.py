@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import EarthLocation
 
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_choice, short
 
 HIGHEST = 1e5  # m
 # Longitude (deg, east), latitude (deg), height (m). The values are taken from astropy's table of sites, which names as
@@ -27,7 +27,7 @@ def location(values: list, what: str = "site") -> EarthLocation:
         if not (abs(lon) <= 360 and abs(lat) <= 90 and abs(height) <= HIGHEST):
             raise ValueError
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise InputError(
             f"{what} must be longitude, latitude (deg) and height (m, at most {HIGHEST:g}), got {short(values)}"
         ) from None

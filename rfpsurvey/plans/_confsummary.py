@@ -364,6 +364,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
         }
     header = without_keywords(header) | to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
+    _epoch(header, path)  # raises an error for a value that cannot be read again
     for key, text in header.items():
         _check_text(np.array([text]), key, path)
         if "#" in text or re.search(r"\s", key) or key.upper() == "FIBERMAP":

@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import suffix_of, to_path
-from rfpsurvey._readers import check_is_file, sentence
+from rfpsurvey._readers import check_is_file, reading, sentence
 from rfpsurvey._roles import JOINED
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
@@ -97,7 +97,8 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         format = recognize_plan(path)  # noqa: A001
         if format is None:
             raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(FORMATS)}")
-    return _module(format).read(path)
+    with reading(path, f"a plan in the format {format}"):
+        return _module(format).read(path)
 
 
 @check_keywords

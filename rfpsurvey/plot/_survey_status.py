@@ -16,7 +16,7 @@ PIECES = {
     "n_planned": ("planned", {"color": PATROL}),
     "n_not_assigned": ("in reach, not assigned", {"color": FADED, "alpha": 0.5}),
     "n_lost": ("lost to a collision", {"color": COLLISION, "hatch": HATCH}),
-    "n_impossible": ("no tile reaches", {"color": "white", "edgecolor": "0.5"}),
+    "n_impossible": ("out of reach or excluded", {"color": "white", "edgecolor": "0.5"}),
 }
 """Label and style of each part of the bars."""
 MOST_ROWS, MOST_CLASSES = 16, 6

@@ -9,7 +9,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels.outlines import NO_OUTLINE, Outline
-from rfpsurvey._units import locked, to_points_mm, to_scalar
+from rfpsurvey._units import ByValue, locked, to_points_mm, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 
 MOST = 1e6
@@ -29,7 +29,7 @@ ROUNDED_UP = 1.0 + 1e-12
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class ArmOutline:
+class ArmOutline(ByValue):
     """The shape of both arms of a positioner, as convex polygons and capsules.
 
     Each part consists of a convex polygon and of all points within ``radius`` of this polygon. A polygon of two

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import to_points_mm, to_radian, to_scalar
+from rfpsurvey._units import ByValue, to_points_mm, to_radian, to_scalar
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
 from rfpsurvey.positioner._numbers import PositionerNumbers
 from rfpsurvey.positioner._outline import ArmOutline
@@ -18,7 +18,7 @@ ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip", "outline")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Positioner:
+class Positioner(ByValue):
     """A theta-phi fiber positioner with two arms.
 
     The central arm rotates by theta around the center, counter-clockwise from +x. The eccentric arm rotates by phi

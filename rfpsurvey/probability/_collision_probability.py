@@ -178,7 +178,7 @@ def collision_probability(
     options, precision = as_options(allocator), precision if isinstance(precision, Precision) else Precision(precision)
     if estimand is not None:
         check_choice(estimand, ESTIMANDS, "estimand")
-    chosen = None if method == "auto" else find_method(method)
+    chosen = None if isinstance(method, str) and method == "auto" else find_method(method)
     if chosen is not None and estimand not in (None, chosen.estimand):
         raise InputError(
             f"{chosen.name!r} estimates the probability for {chosen.estimand!r} targets, not for {estimand!r} targets"

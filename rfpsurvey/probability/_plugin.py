@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._plugins import Plugin, find_function
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice
 from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, ProbabilityMethod, check_usable
@@ -90,7 +90,7 @@ def _probabilities(given: object, n: int) -> np.ndarray:
     """Return the probabilities of positioners as an array, or raise an error if they are invalid."""
     try:
         probability = to_plain(given)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         probability = np.empty(0, dtype=object)
     if probability.shape != (n,) or probability.dtype.kind not in "fiu":
         raise InputError(

@@ -12,7 +12,7 @@ from rfpsurvey._kernels import queues
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import locked, to_plain
 from rfpsurvey.collision import make_setup
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import INCONVERTIBLE, InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._environments import environments
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
@@ -113,7 +113,7 @@ class Quadrature:
             weight = self.density(tips << u.mm)
             try:
                 weight = to_plain(weight).astype(float)
-            except (TypeError, ValueError):
+            except INCONVERTIBLE:
                 raise InputError(f"density must return numbers, got {type(weight).__name__}") from None
             if weight.shape != (len(rows),) or not ((weight >= 0) & (weight < np.inf)).all():
                 raise InputError(

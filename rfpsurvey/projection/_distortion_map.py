@@ -9,8 +9,8 @@ from astropy.table import QTable
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_table
-from rfpsurvey._units import check_columns, to_mm, to_scalar, to_unit
-from rfpsurvey.errors import InputError, check_keywords, check_whole, refusal
+from rfpsurvey._units import ByValue, check_columns, to_mm, to_scalar, to_unit
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_keywords, check_whole, refusal
 
 COLUMNS = ("ADC1", "ADC2", "X_TAN", "Y_TAN", "X_FP", "Y_FP")
 # The maximum tangent for which a map is valid is the maximum tangent of the traced directions, multiplied by this
@@ -21,7 +21,7 @@ MOST_STEPS, N_AZIMUTHS, ENOUGH = 30, 72, 1e-12
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class DistortionMap:
+class DistortionMap(ByValue):
     """Polynomial map from the tangent plane to the focal plane, for one setting of a dispersion compensator (ADC).
 
     The compensator consists of two prisms that rotate about the optical axis by the angles a1 and a2. The half
@@ -80,7 +80,7 @@ class DistortionMap:
         check_whole(self.harmonics, "harmonics", 0, 20)
         try:
             values = np.array(self.coefficients, dtype=float)
-        except (TypeError, ValueError):
+        except INCONVERTIBLE:
             raise refusal("coefficients must be a sequence of numbers", self.coefficients, list, tuple) from None
         n = sum(map(len, _terms(self.degree, self.harmonics)))
         if values.shape != (n,) or not np.isfinite(values).all():
@@ -129,7 +129,7 @@ class DistortionMap:
         check_columns(table.colnames, COLUMNS, f"{path}: the table")
         try:
             adc1, adc2, x, y, x_fp, y_fp = (np.asarray(table[name], dtype=float) for name in COLUMNS)
-        except (TypeError, ValueError) as error:
+        except INCONVERTIBLE as error:
             raise InputError(f"{path}: the columns must contain numbers: {error}") from None
         if not np.isfinite([adc1, adc2, x, y, x_fp, y_fp]).all() or (np.abs(adc1 + adc2) > 1e-6).any():
             raise InputError(f"{path}: all values must be finite, and ADC1 must be -ADC2")

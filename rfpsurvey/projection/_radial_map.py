@@ -9,9 +9,11 @@ import numpy as np
 
 from rfpsurvey._kernels import sky
 from rfpsurvey._units import to_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, check_choice, check_keywords, refusal
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_keywords, refusal
 
 _FORMS = {"theta": sky.THETA, "tan_theta": sky.TAN_THETA, "sine": sky.SINE}
+# Ratio of two coefficients of the derivative below which the smaller one does not change its zeros.
+NEGLIGIBLE = 1e-200
 _SCALE = u.mm / u.rad
 
 
@@ -71,8 +73,10 @@ class RadialMap:
     def __post_init__(self):
         check_choice(self.form, _FORMS, "form of radial map")
         try:
+            if isinstance(self.coefficients, str):
+                raise TypeError
             object.__setattr__(self, "coefficients", tuple(float(c) for c in self.coefficients))
-        except (TypeError, ValueError):
+        except INCONVERTIBLE:
             raise refusal(
                 "coefficients must be a sequence of numbers", self.coefficients, list, tuple, np.ndarray
             ) from None
@@ -84,7 +88,7 @@ class RadialMap:
         for name in ("unit_tangent", "factor"):
             try:
                 number = u.Quantity(getattr(self, name))
-            except (TypeError, ValueError):
+            except INCONVERTIBLE:
                 raise refusal(f"{name} must be a number", getattr(self, name), Number, list) from None
             to_scalar(number, u.dimensionless_unscaled, name, low=0)
         if (self.form == "sine") != (self.radius is not None):
@@ -96,7 +100,9 @@ class RadialMap:
         _, _, argument, inner, _, _ = self.arguments
         edge = argument * (np.tan(limit) if self.form == "tan_theta" else limit)
         # The derivative dp/dt is a polynomial in t^2, which must have no zeros within the limit.
-        roots = np.roots((c * (2 * np.arange(c.size) + 1))[::-1])
+        slope = c * (2 * np.arange(c.size) + 1)
+        slope[np.abs(slope) < NEGLIGIBLE * np.abs(slope).max()] = 0  # the ratios of coefficients must be finite
+        roots = np.roots(slope[::-1])
         real = roots[(np.abs(roots.imag) < 1e-12 * np.abs(roots)) & (roots.real > 0)].real
         quarter = self.form == "sine" and inner * np.polyval(c[::-1], edge**2) * edge >= np.pi / 2
         if c[0] <= 0 or (real <= edge**2).any() or quarter:

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._units import to_center, to_direction, to_lonlat, to_points_mm, to_scalar, to_vectors
+from rfpsurvey._units import ByValue, to_center, to_direction, to_lonlat, to_points_mm, to_scalar, to_vectors
 from rfpsurvey.errors import InputError, check_keywords, refusal
 from rfpsurvey.projection._distortion_map import DistortionMap
 from rfpsurvey.projection._field import FieldProjection, field_basis
@@ -18,7 +18,7 @@ _SCALE = u.mm / u.rad
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class TangentPlane:
+class TangentPlane(ByValue):
     """Projection of the sky around a field center onto the focal plane.
 
     Without rotation, +x points east and +y points north; a rotation moves +y from north toward east. Without

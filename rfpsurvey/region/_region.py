@@ -1,6 +1,6 @@
 """The class `Region`: a circle, a box, a polygon or a set of HEALPix pixels on the sky."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from numbers import Number
 
 import astropy.units as u
@@ -8,8 +8,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey import _healpix
-from rfpsurvey._units import to_center, to_scalar, to_vectors
-from rfpsurvey.errors import InputError, check_choice, refusal
+from rfpsurvey._readers import parse_number
+from rfpsurvey._units import ByValue, to_center, to_plain, to_scalar, to_vectors
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
 from rfpsurvey.region._sphere import is_inside
 
@@ -22,7 +23,7 @@ FORMS = {
 
 
 @dataclass(frozen=True, eq=False)
-class Region:
+class Region(ByValue):
     """A region of the sky, as returned by ``cap``, ``box``, ``polygon``, ``healpix``, ``whole_sky`` or ``parse``.
 
     Parameters
@@ -35,6 +36,8 @@ class Region:
         Polygon: unit vectors of the vertices, shape (n, 3). HEALPix: pixel numbers in the nested order.
     nside : int, optional
         HEALPix resolution parameter; 0 for other kinds of regions.
+    degrees : tuple of float, optional
+        Of a cap: right ascension and declination (ICRS) and radius in degrees, as given; otherwise, they are computed.
 
     Examples
     --------
@@ -51,6 +54,7 @@ class Region:
     kind: str
     values: np.ndarray
     nside: int = 0
+    degrees: tuple[float, ...] | None = field(default=None, compare=False)
 
     @classmethod
     def cap(cls, center: SkyCoord | str, radius: u.Quantity) -> "Region":
@@ -73,9 +77,11 @@ class Region:
         InputError
             If ``center`` is not a single direction, or if ``radius`` is out of range.
         """
-        radius_rad = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
-        vector = to_vectors(to_center(center))[0]
-        return cls("cap", np.append(vector, min(np.deg2rad(radius_rad), np.pi)))
+        radius_deg = to_scalar(radius, u.deg, "radius", low=0, high=180.000001)
+        direction = to_center(center)
+        values = np.append(to_vectors(direction)[0], min(np.deg2rad(radius_deg), np.pi))
+        given = (direction.ra.deg, direction.dec.deg, radius_deg) if direction.frame.name == "icrs" else None
+        return cls("cap", values, degrees=given and tuple(map(float, given)))
 
     @classmethod
     def box(cls, ra: tuple[u.Quantity, u.Quantity], dec: tuple[u.Quantity, u.Quantity]) -> "Region":
@@ -178,9 +184,10 @@ class Region:
         """
         nside = _healpix.check_nside(nside)
         check_choice(order, ("nested", "ring"), "order of pixels")
-        numbers = np.unique(np.asarray(pixels))
+        numbers = to_plain(pixels, "pixels", "whole numbers")
         if numbers.size == 0 or numbers.dtype.kind not in "iu":
             raise refusal("pixels must contain one or more whole numbers", pixels, Number, list, np.ndarray)
+        numbers = np.unique(numbers)
         if numbers[0] < 0 or numbers[-1] >= 12 * nside**2:
             raise InputError(
                 f"pixels must be from 0 to {12 * nside**2 - 1} for nside {nside}, got {numbers[0]} to {numbers[-1]}"
@@ -227,7 +234,7 @@ class Region:
         kind, *words = str(text).replace(",", " ").split() or [""]
         check_choice(kind, FORMS, "kind of region")
         try:
-            numbers = [float(word) for word in words] * u.deg
+            numbers = [parse_number(word) for word in words] * u.deg
         except ValueError:
             numbers = None
         wanted = {"cap": len(words) == 3, "box": len(words) == 4, "sky": not words}
@@ -241,7 +248,7 @@ class Region:
         if not (np.abs(lat.value) <= 90).all():
             raise InputError(f"declinations must lie between -90 and 90 deg, got {text!r}")
         if kind == "cap":
-            return cls.cap(SkyCoord(numbers[0], numbers[1]), numbers[2])
+            return replace(cls.cap(SkyCoord(numbers[0], numbers[1]), numbers[2]), degrees=tuple(numbers.value.tolist()))
         return cls.polygon(SkyCoord(numbers[::2], lat))
 
     @property
@@ -283,7 +290,7 @@ def _two(values, name, low, high):
     """Convert two angles to degrees, and check their range."""
     try:
         first, last = values
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         raise refusal(f"{name} must be two angles", values, list, tuple) from None
     both = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
     return [min(max(value, low), high) for value in both]

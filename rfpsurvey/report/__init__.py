@@ -6,11 +6,13 @@ from rfpsurvey._lazy import importer
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
 from rfpsurvey.report._facts import (
     estimate_facts,
+    rules_of_tile,
     selection_facts,
     status_facts,
     survey_facts,
     tile_facts,
     tile_objectives,
+    tile_problems,
     tiling_facts,
 )
 
@@ -32,11 +34,13 @@ __all__ = [
     "check_report",
     "estimate_facts",
     "notebook_view",
+    "rules_of_tile",
     "selection_facts",
     "status_facts",
     "survey_facts",
     "tile_facts",
     "tile_objectives",
+    "tile_problems",
     "tiling_facts",
     "write_report",
 ]

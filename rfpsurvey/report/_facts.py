@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from rfpsurvey.errors import number_of
+from rfpsurvey.errors import brief, listed, number_of
 
 if TYPE_CHECKING:
     from astropy.table import QTable
@@ -68,7 +68,7 @@ SELECTION = {
     "n_realizations": "realizations",
     "n_tiles": "tiles",
     "n_targets": "targets with requested visits",
-    "n_unreachable": "targets that no tile can reach",
+    "n_unreachable": "targets in reach of no tile",
     "n_never_observed": "targets never observed",
     "n_sometimes_observed": "targets sometimes observed",
     "n_always_observed": "targets always observed",
@@ -86,7 +86,7 @@ STATUS = {
     "n_planned": "    planned",
     "n_not_assigned": "    in reach, not assigned",
     "n_lost": "    lost to a collision",
-    "n_impossible": "    no tile can observe the target",
+    "n_impossible": "    out of reach or excluded",
     "n_failed": "failed visits",
 }
 STATES = {
@@ -97,6 +97,8 @@ STATES = {
     "planned": "  not yet observed",
 }
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
+MOST_ROWS = 8
+"""Largest number of rows with the same constraint and verdict that are listed one by one."""
 TOTAL = "any target"
 LEVELS = {
     "requirements": "fibers missing for requirements",
@@ -138,6 +140,34 @@ def tile_facts(tile: "Tile") -> dict:
                 if "n_also_science" in counts:  # these fibers cost no science target
                     found[f"      that are science targets ({kind})"] = counts["n_also_science"]
     return found
+
+
+def tile_problems(tile: "Tile") -> list[str]:
+    """Return texts on the targets out of reach and on the constraints that are not met, for the first lines."""
+    unmet = tile.summary.get("unmet", [])
+    n_out, n = tile.summary.get("n_out_of_reach", 0), len(unmet)
+    texts = [f"{number_of(n_out, 'target')} out of reach"] if n_out else []
+    return texts + ([f"{number_of(n, 'constraint')} not met: {listed(unmet, 2)}"] if n else [])
+
+
+def rules_of_tile(rules: "QTable") -> list[dict]:
+    """Return the verdicts as dicts; one dict stands for many rows that differ in the number and the place."""
+    groups: dict[tuple, list] = {}
+    for row in rules:
+        one = dict(zip(rules.colnames, row, strict=True))
+        groups.setdefault(tuple(one[name] for name in ("rule", "limit", "verdict")), []).append(one)
+    found = []
+    for rows in groups.values():
+        found += rows if len(rows) <= MOST_ROWS else [_merged(rows)]
+    return found
+
+
+def _merged(rows: list[dict]) -> dict:
+    """Return one verdict for many rows, with the largest and smallest number, and the first places."""
+    low, high = min(one["number"] for one in rows), max(one["number"] for one in rows)
+    notes = f"{len(rows)} times: {listed(filter(None, (one['note'] for one in rows)), 3)}"
+    fibers = " ".join(filter(None, (one["fibers"] for one in rows)))
+    return rows[0] | {"number": low, "note": notes if low == high else f"to {high:.6g}; {notes}", "fibers": fibers}
 
 
 def _checked(summary: dict) -> dict:
@@ -192,6 +222,7 @@ def survey_facts(survey: "Survey") -> dict:
     facts = {
         "tiles": s["n_tiles"],
         "  rounds of non-overlapping tiles": s["n_rounds"],
+        **_strange_tiles(survey.tiles),
         "targets with requested visits": s["n_targets"],
         "visits requested": s["n_visits_requested"],
         "  observed": s["n_visits_observed"],
@@ -201,7 +232,7 @@ def survey_facts(survey: "Survey") -> dict:
         "  to science targets": s["n_science"],
         "  to standard stars": s.get("n_standard", 0),
         "  to sky": s.get("n_sky", 0),
-        "  fraction of all fibers": s["fiber_use"],
+        "  fraction of usable positioners": s["fiber_use"],
         **_assigned_in_collision(s),
         "positioners in collision": s["n_colliding"],
         **({"  margins": s["margins"]} if "margins" in s else {}),
@@ -213,6 +244,14 @@ def survey_facts(survey: "Survey") -> dict:
     }
     facts = {label: n for label, n in facts.items() if n or label not in ZERO_IS_LEFT_OUT}
     return facts | _required(s) | {f"targets {outcome}": number for outcome, number in s["outcomes"].items()}
+
+
+def _strange_tiles(tiles: "QTable") -> dict:
+    """Return the tiles without targets in their fields, and those at right ascension and declination 0."""
+    at_zero = (np.asarray(tiles["ra"]) == 0) & (np.asarray(tiles["dec"]) == 0)
+    found = {"  without targets": np.isnan(tiles["completeness"]), "  at ra 0, dec 0": at_zero}
+    names = {label: tuple(np.asarray(tiles["tile"])[mask].tolist()) for label, mask in found.items()}
+    return {label: brief(tiles) for label, tiles in names.items() if tiles}
 
 
 def _assigned_in_collision(summary: dict) -> dict:

@@ -23,7 +23,7 @@ def page_of_status(status: Table, where: str) -> Page:
     words = (
         "Left: the numbers of visits (left axis) and of tiles (right axis) that were observed up to each date. Right: "
         "for each class of targets, the fractions of the requested visits that are observed, planned, not assigned, "
-        "lost to collisions, and not possible because no tile can observe the target."
+        "lost to collisions, and not possible because the target is out of reach of all tiles or excluded by a limit."
     )
     picture = Picture("Progress of the survey.", plot_survey_status(status)[0].figure, words)
     progress = status.meta["progress"]

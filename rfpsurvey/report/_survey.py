@@ -19,7 +19,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         "tiles": s["n_tiles"],
         f"of {s['n_visits_requested']} visits observed": s["n_visits_observed"],
         "completeness": s["completeness"],
-        "fraction of the fibers used": s["fiber_use"],
+        "fraction of usable positioners": s["fiber_use"],
         "collision rate of assigned arms": s.get("collision_rate_assigned", "unknown"),
     }
     pictures = [

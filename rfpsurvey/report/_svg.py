@@ -18,6 +18,8 @@ WIDE = 9  # width in inches; the caption of a wider figure is below the figure
 STYLE = {"svg.fonttype": "none", "svg.hashsalt": "rfpsurvey", "svg.image_inline": True}
 ILLEGAL = re.compile(rb"[\x00-\x08\x0b\x0c\x0e-\x1f]")  # bytes that XML does not allow
 IMAGE = "data:image/png;base64,"
+SAFE = "#", IMAGE, "https://", "http://"
+"""Beginnings of links that a page keeps; others, such as ``javascript:``, could run code of the author of a figure."""
 LONG = re.compile(r"(-?\d+\.\d\d)\d+")
 REFERENCE = re.compile(r"url\(#([^)]*)\)")
 GRAY = re.compile(r"#([0-9a-f]{2})\1\1\b")
@@ -117,6 +119,8 @@ def _rename(attributes: dict, names: dict[str, str]) -> None:
     """Give ids and references their new names, remove unused ids, shorten paths, and replace grays by CSS variables."""
     if attributes.get("id") not in names:
         attributes.pop("id", None)
+    if not attributes.get("href", "").lower().startswith(SAFE):
+        attributes.pop("href", None)
     for key, value in attributes.items():
         if key == "id":
             attributes[key] = names[value]

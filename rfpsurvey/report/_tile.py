@@ -6,13 +6,14 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
 
 from rfpsurvey.allocation import METHODS, recorded_constraints
 from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
-from rfpsurvey.report._facts import tile_facts, tile_objectives
+from rfpsurvey.report._facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
 from rfpsurvey.report._focal_plane_view import focal_plane_view
 from rfpsurvey.report._plans import blocks_of_plans
 from rfpsurvey.tile import Tile, collision_shape
@@ -58,6 +59,10 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
         "in collision": summary["n_colliding"],
         "collision rate of assigned arms": summary.get("collision_rate_assigned", np.nan),
     }
+    if summary.get("n_out_of_reach"):
+        highlights["targets out of reach"] = summary["n_out_of_reach"]
+    if summary.get("unmet"):
+        highlights["constraints not met"] = len(summary["unmet"])
     if "n_in_field" in summary:
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
     result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
@@ -70,13 +75,16 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
         blocks = [Text(list(unmet))]
         if tile.rules is not None:
             caption = "Verdict on each constraint, with the positioners whose fibers violate it."
-            blocks.append(Rows(caption, tile.rules, marks={PASS: "good", FAIL: "bad", NOT_CHECKABLE: "open"}))
+            rows = QTable(rows=rules_of_tile(tile.rules), names=tile.rules.colnames)
+            blocks.append(Rows(caption, rows, marks={PASS: "good", FAIL: "bad", NOT_CHECKABLE: "open"}))
         sections.append(Section("Constraints", blocks))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
-    lead = f"{counts}; {arms} in collision{collision_shape(summary)}."
+    lead = "; ".join([counts, f"{arms} in collision{collision_shape(summary)}", *tile_problems(tile)]) + "."
+    if parameters["allocator"] == "scored":
+        lead = f"Score of a plan with the {tile.provenance['instrument'].get('layout') or 'given'} instrument: {lead}"
     return Page("Tile", _title(name, parameters), lead, highlights, sections, tile.provenance)
 
 

@@ -1,7 +1,7 @@
 """The function that writes reports."""
 
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
@@ -10,7 +10,7 @@ from astropy.table import Table
 
 from rfpsurvey._io import check_output, output_path, to_path
 from rfpsurvey.compare import PARTS
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, refusal
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
 from rfpsurvey.report._designs import is_designs, page_of_designs
@@ -157,7 +157,8 @@ def _pictures(figures) -> list[Picture]:
     """Return the figures with their captions; each caption is divided into its first sentence and further text."""
     named = figures if isinstance(figures, Mapping) else None
     if named is None:
-        several = figures if isinstance(figures, Iterable) else [figures]
+        single = (type(figures),) if hasattr(getattr(figures, "figure", figures), "savefig") else ()
+        several = items_of(figures, "figures must be Figures or Axes of matplotlib", *single)
         named = {f"Figure {k}.": figure for k, figure in enumerate(several, 1)}
     for figure in named.values():
         if not hasattr(getattr(figure, "figure", figure), "savefig"):

@@ -81,13 +81,14 @@ def plan_survey(
         processes plan the tiles, the allocator must be given by its name; a function can only be used in threads. If
         the search of an allocator ends at its time limit, the plan may not be reproducible.
     visits : int, array_like of int of shape (n_targets,), SurveyState, VisitRule or Cadences, optional
-        Requested number of visits of each target, 0 to 255. The default is the column ``visits`` of the catalog. If the
-        catalog lacks this column, one visit of each target is requested. Targets of any kind with 0 visits are not
-        assigned, except required targets. A tile observes a target at most once. For a
-        `~rfpsurvey.catalog.PartitionedCatalog`, the values must be in the order in which its method ``read`` returns
-        the targets. With a `~rfpsurvey.survey.SurveyState`, observed tiles keep their plans, and the other tiles are
-        planned for the visits that remain. A `~rfpsurvey.survey.VisitRule` determines the visits of the first plan.
-        With `~rfpsurvey.survey.Cadences`, the tiles have dates, and targets are observed in windows of time.
+        Requested number of visits of each target, 0 to 255, or one number from 1 to 255 for all targets. The default is
+        the column ``visits`` of the catalog. If the catalog lacks this column, one visit of each target is requested.
+        Targets of any kind with 0 visits are not assigned, except required targets. A tile observes a target at most
+        once. For a `~rfpsurvey.catalog.PartitionedCatalog`, the values must be in the order in which its method
+        ``read`` returns the targets. With a `~rfpsurvey.survey.SurveyState`, observed tiles keep their plans, and the
+        other tiles are planned for the visits that remain. A `~rfpsurvey.survey.VisitRule` determines the visits of the
+        first plan. With `~rfpsurvey.survey.Cadences`, the tiles have dates, and targets are observed in windows of
+        time.
     passes : list of int, optional
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional

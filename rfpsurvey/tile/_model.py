@@ -54,10 +54,8 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
         else:
             case = Configuration(plane, np.ascontiguousarray(posed.segments.T), 2, lambda: posed)
             n_near = len(near_pairs(case)[0])
-            looked = (
-                f"Distances were computed for {n_near} of {n_pairs} pairs of arms, because all other pairs are far "
-                "apart; the distances are"
-            )
+            close = f"the arms of {n_near} of these pairs" if n_near else "the arms of none of these pairs"
+            looked = f"{n_pairs} pairs of arms can touch. In this plan, {close} are close to each other; distances are"
         collisions = f"Collisions: {TYPES[kind]}. {looked} {arms}"
     if instrument.distortion is None or projection == "tangent":
         positions = "a tangent plane with one plate scale"

@@ -116,13 +116,13 @@ def _consistent(angles, instrument, places, types) -> np.ndarray | None:
     if not differs.any():
         return angles
     most = 2 * differs.sum() > len(own)
-    if most and instrument.layout == "nominal":  # angles of real positioners do not apply to nominal arms
-        return None
     text = "the recorded angles are not used" if most else "the positions determine the poses of these arms"
+    remedy = "check that the instrument is the one for which the plan was made"
+    if instrument.layout == "nominal":
+        remedy = "the arms are nominal: score the plan with the instrument as built"
     warn(
         f"the recorded joint angles of {differs.sum()} of {len(own)} positioners with a target place the fiber more "
-        f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; check that the "
-        "instrument is the one for which the plan was made"
+        f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; {remedy}"
     )
     return None if most else np.where(np.isin(np.arange(len(places)), own[differs]), np.nan, angles)
 

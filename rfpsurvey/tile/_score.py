@@ -131,23 +131,25 @@ def score_tile(
     check_choice(missing, ("refuse", "skip"), "treatment of rows without a position")
     instrument = as_instrument(instrument)
     table, is_plain = as_table(table, index_as_id=False)
-    if is_plain:
-        units = {**{role: str(unit) for role, unit in UNITS.items()}, **(units or {})}
+    parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
+    columns, units = ({} if one is None else one for one in (columns, units))
+    if is_plain and isinstance(units, dict):
+        units = {**{role: str(unit) for role, unit in UNITS.items()}, **units}
     if center is not None and equinox is not None:
         raise InputError(
             "equinox must be left out if center is given, because the frame of center defines north: give "
             f'center.transform_to(FK5(equinox="{equinox}"))'
         )
-    roles, columns = plan_roles(table), columns or {}
+    roles = plan_roles(table)
     columns = {**roles, **columns} if isinstance(columns, dict) else columns
     plane = instrument.focal_plane
-    full = Finder(table, columns, units or {})
+    full = Finder(table, columns, units)
     owner, rows, name = _positioners(full, instrument)
     who = owner[rows]
     if len(rows) == 0:
         raise InputError("the table must assign at least one positioner, got none")
     part = table[rows]
-    find = Finder(part, columns, units or {})
+    find = Finder(part, columns, units)
     xy_names = [find.name_of(role) for role in ("x", "y")]
     if positions is None:
         positions = "focal_plane" if None not in xy_names else "sky"

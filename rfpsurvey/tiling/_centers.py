@@ -8,9 +8,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._units import to_direction, to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import ByValue, to_direction, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import is_table
-from rfpsurvey.errors import InputError, InputTypeError, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, refusal, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
 
 # Tolerance (radians) for rounding errors at the limits of declination.
@@ -18,7 +18,7 @@ ROUNDING = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Centers:
+class Centers(ByValue):
     """Constraints on the centers of tiles, and the position angle of the tiles.
 
     Parameters
@@ -157,10 +157,9 @@ def _two(limits):
     """Return the lower and the upper limit in radians."""
     try:
         low, high = limits
-    except (TypeError, ValueError):
-        raise InputError(
-            f"declination must be two angles, the lower and the upper limit, got {short(limits)}"
-        ) from None
+    except INCONVERTIBLE:
+        text = "declination must be two angles, the lower and the upper limit"
+        raise refusal(text, limits, list, tuple, u.Quantity) from None
     low, high = (float(to_unit(one, u.deg, "declination")) for one in (low, high))
     if not -90 <= low <= high <= 90:
         raise InputError(

@@ -179,7 +179,7 @@ def test_score(run, tmp_path):
     # a tile of this package contains the name of its instrument
     code, out, _ = run("score", tmp_path / "out.ecsv")
     assert code == 0
-    assert re.search(r"^lamost, allocator scored$", out, re.MULTILINE)
+    assert re.search(r"^lamost, nominal, allocator scored$", out, re.MULTILINE)
     assert "--instrument must be the instrument of the tile, lamost" in sentence(
         *run("score", tmp_path / "out.ecsv", "--instrument", "desi")[::2]
     )

@@ -134,6 +134,11 @@ def test_states_of_tiles_of_desi_are_read_as_they_are(call, plan, tmp_path):
     ]
 
 
+def test_numbers_are_decimal(run):
+    code, _, error = run("record", "plan", "night.ecsv", "--enough", "1_0")
+    assert (code, "'1_0' is not a decimal number" in error) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("columns", "words", "message"),
     [

@@ -132,6 +132,7 @@ def test_every_option_of_version_02_still_works(settings, command):
         name, is_flag = option.rstrip("!"), option.endswith("!")
         value = "max" if name == "--objective" and command == "design" else VALUES.get(name, "1")
         value = f"loss={value}" if value == "max" else value
+        value = "outcome" if (command, name) == ("plan", "--targets") else value  # numbers were never valid
         given = [] if is_flag else ["-10", "60"] if name == "--declination" else [value]
         argument = ["sdss_apo.csv"] if command == "score" else []
         found, warnings = settings(*command.split(), *argument, name, *given)
@@ -145,6 +146,12 @@ def test_every_option_of_version_02_still_works(settings, command):
             assert (again, none) == (found, [])
         joined = settings(*command.split(), *argument, f"{name}={given[0]}")[0] if len(given) == 1 else found
         assert joined == found
+
+
+def test_no_key_is_suggested_that_is_then_refused(run):
+    """Regression: the warning about ``--targets 1000`` named a key whose value cannot be a number."""
+    code, _, error = run("plan", "--targets", "1000")
+    assert (code, "output.targets" in error, "No such option: --targets" in error) == (2, False, True)
 
 
 def test_a_warning_is_issued_once_for_each_spelling(settings):

@@ -122,8 +122,23 @@ def test_segments_too_short_to_square_are_not_lost():
     assert decide((0, 4.25, 0, 5), (0, 0, 2e-162, 0), 4.5) is True
 
 
-def test_a_limit_of_nothing_is_never_met():
-    assert not closer_exactly((0, 0, 1, 0), (0, -1, 0, 1), 0.0)
+@pytest.mark.parametrize(
+    ("second", "expected"),
+    [
+        ((0.5, -1, 0.5, 1), True),
+        ((0, -1, 0, 1), True),
+        ((1, 0, 2, 0), True),
+        ((0.25, 0, 0.75, 0), True),
+        ((0.5, 0, 0.5, 0), True),
+        ((0.5, 5e-324, 0.5, 1), False),
+        ((1 + 2**-52, 0, 2, 0), False),
+        ((0, 1, 1, 1), False),
+    ],
+)
+def test_without_a_separation_segments_that_touch_or_cross_collide(second, expected):
+    """Regression: no segments were closer than 0, not even those that cross."""
+    assert closer_exactly((0, 0, 1, 0), second, 0.0) is expected
+    assert closer_exactly(second, (1, 0, 0, 0), 0.0) is expected
 
 
 @pytest.mark.parametrize("part", [0.0, 0.03, 0.5, 1.0])

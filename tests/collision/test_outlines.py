@@ -45,13 +45,13 @@ def two(parts, *, separation=0.0, distance=10.0, turned=False, central=(), arm=3
     return np.sqrt(squared) - outline.offset, outlines_closer_exactly(outline, 0, 1, *cores, separation)
 
 
-def test_touching_polygons_do_not_collide():
+def test_polygons_that_touch_collide_without_a_separation():
     square = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
-    gap, closer_than_0 = two([square], distance=2.0, central=[])
+    gap, collide = two([square], distance=2.0, central=[])
     assert gap == pytest.approx(0, abs=1e-14)
-    assert not closer_than_0
-    gap, closer_than_0 = two([square], distance=np.nextafter(2.0, 0), central=[])
-    assert closer_than_0
+    assert collide
+    assert not two([square], distance=np.nextafter(2.0, 3), central=[])[1]
+    assert two([square], distance=np.nextafter(2.0, 0), central=[])[1]
     assert two([square], separation=1e-300, distance=2.0)[1]
 
 
@@ -69,13 +69,13 @@ def test_the_gap_of_points_is_their_distance(distance):
 
 
 def test_crossing_lines_without_a_radius_overlap():
-    """Crossing lines overlap, as thin polygons do; parallel lines only touch."""
+    """Crossing lines overlap, as thin polygons do; parallel lines touch, which is a collision without a separation."""
     cross = np.array([[[0, -2], [4, 2]]])
     gap, collide = two(cross, distance=0.5, turned=True)
     assert not collide
     gap, collide = two(cross, distance=4.0, turned=True)  # the second line is the first one
     assert gap == pytest.approx(0, abs=1e-14)
-    assert not collide
+    assert collide
     tilted = make_outline(rs.positioner.ArmOutline([cross[0] * u.mm]), np.zeros((2, 2)), np.ones(2))
     first, second = [0.0, 0.0, 4.0, 0.0], [0.0, 0.0, 4 * np.cos(0.1), 4 * np.sin(0.1)]
     assert outlines_closer_exactly(tilted, 0, 1, first, second, 0.0)

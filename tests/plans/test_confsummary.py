@@ -116,7 +116,8 @@ def test_a_tile_survives_with_its_assignment_and_collisions(tmp_path, path, buil
 
 
 def test_joint_angles_of_nominal_arms_are_left_out(tmp_path, path):
-    tile = rs.score_tile(plans.read_plan(path), "sdss_apo")
+    with pytest.warns(rs.RfpsurveyWarning, match="the arms are nominal"):
+        tile = rs.score_tile(plans.read_plan(path), "sdss_apo")
     with pytest.warns(rs.RfpsurveyWarning, match="the joint angles computed from nominal arm lengths"):
         tile.write(tmp_path / "tile.par", format="confsummary")
     assert np.isnan(plans.read_plan(tmp_path / "tile.par")["theta"]).all()
@@ -128,6 +129,15 @@ def test_plans_of_other_instruments_are_refused(tmp_path, small):
     with pytest.raises(rs.InputError, match="must be sdss_apo or sdss_lco, got lamost"):
         tile.write(tmp_path / "tile.par", format="confsummary")
     assert files_in(tmp_path) == []
+
+
+def test_a_header_that_cannot_be_read_again_is_not_written(tmp_path, path):
+    """Regression: a plan table with a damaged epoch was converted to a file that could not be read."""
+    plan = plans.read_plan(path)
+    plan.meta["header"]["epoch"] = "618"
+    with pytest.raises(rs.InputError, match="epoch in the header must be a Julian date from .*, got 618"):
+        plans.write_plan(plan, tmp_path / "bad.par")
+    assert not (tmp_path / "bad.par").exists()
 
 
 def test_text_that_yanny_files_cannot_hold_is_refused(tmp_path, path):
@@ -247,7 +257,7 @@ def test_commands_read_and_write_plans(run, tmp_path, path, built, monkeypatch):
     monkeypatch.chdir(tmp_path)
     code, out, err = run("score", str(path))
     assert code == 0, err
-    assert "sdss_apo, allocator scored" in out
+    assert "sdss_apo, nominal, allocator scored" in out
     code, out, _ = run("score", str(path), "--instrument", str(tmp_path / "calibration"), "--output", "tile.fits")
     assert code == 0
     code, out, err = run("convert", "tile.fits", "tile.par.gz")

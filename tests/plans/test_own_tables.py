@@ -3,6 +3,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.table import Column, MaskedColumn, QTable
 from pfs_files import write_design
 
@@ -106,6 +107,17 @@ def test_other_units_types_and_masks_are_converted(tmp_path, tile):
             found["positioner", "fiber_type", "target_id", "kind", "assigned", "x", "y", "objects"],
             tmp_path / "plan.fits",
         )
+
+
+def test_a_column_with_an_unknown_unit_is_refused(tmp_path, tile):
+    """Regression: ``read_plan`` ended in an error of astropy."""
+    tile.write(tmp_path / "tile.fits")
+    with fits.open(tmp_path / "tile.fits") as units:
+        number = units[1].columns.names.index("dec") + 1
+        units[1].header[f"TUNIT{number}"] = "1PE(3)"
+        units.writeto(tmp_path / "unit.fits")
+    with pytest.raises(rs.InputError, match=r"column 'dec' must have a unit convertible to deg, got 1PE\(3\)"):
+        read_plan(tmp_path / "unit.fits")
 
 
 def test_private_entries_of_a_plan_that_are_damaged_are_refused_when_it_is_written(tmp_path):

@@ -116,6 +116,15 @@ def test_a_map_that_turns_over_is_refused():
     with pytest.raises(rs.InputError, match="must increase from the center"):
         rs.projection.RadialMap("theta", [1, -1], max_angle=1 * u.deg)  # the radial map has a maximum at 0.577 deg
     rs.projection.RadialMap("theta", [1, -1], max_angle=0.57 * u.deg)
+
+
+@pytest.mark.parametrize("tiny", [1e-320, -1e-320, 1e-310])
+def test_subnormal_coefficients_have_no_effect(tiny):
+    """Regression: a coefficient of 1e-320 ended in an error of NumPy."""
+    maps = [rs.projection.RadialMap("theta", [243.0, 4.05, *end], max_angle=1.6 * u.deg) for end in ([], [tiny])]
+    assert maps[0].to_radius(1.5 * u.deg) == maps[1].to_radius(1.5 * u.deg)
+    with pytest.raises(rs.InputError, match="the radial map must increase"):
+        rs.projection.RadialMap("theta", [1, -1, tiny], max_angle=1 * u.deg)
     with pytest.raises(rs.InputError, match="must increase"):
         # the sine form is not defined beyond 90 deg
         rs.projection.RadialMap("sine", [60.0], max_angle=1.6 * u.deg, radius=1 * u.m)

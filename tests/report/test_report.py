@@ -54,6 +54,21 @@ def nasty_table():
     return table
 
 
+@pytest.mark.parametrize(
+    "url", ["javascript:alert(1)", " JavaScript:alert(1)", "data:text/html,x", "vbscript:x", "file:x"]
+)
+def test_links_of_a_figure_run_no_code(tmp_path, url):
+    """Regression: a link of an artist in a figure of the user was kept, whatever it referred to."""
+    ax = Figure().add_subplot()
+    for k, link in enumerate((url, "https://example.org/")):
+        ax.plot([0, 1], [k, k])[0].set_url(link)
+        ax.text(k, k, "text", url=link)
+    rs.write_report(QTable({"a": [1]}), tmp_path / "page.html", figures=ax)
+    links = re.findall(r'href="([^"]*)"', (tmp_path / "page.html").read_text().partition("<svg")[2])
+    assert "https://example.org/" in links
+    assert all(link.startswith(("#", "https://", "data:image/png")) for link in links)
+
+
 def nasty_figure():
     ax = Figure().add_subplot()
     ax.plot([1, 10, 100], [1, 2, 3], color="0.5")

@@ -248,7 +248,9 @@ def test_each_tile_draws_by_itself(sky, small):
         ({"passes": "all"}, "must be distinct passes"),
         ({"passes": [np.nan]}, "must be distinct passes"),
         ({"rng": -1}, "rng must be a seed from 0 to 2"),
-        ({"visits": 256}, "whole numbers from 0 to 255"),
+        ({"visits": 256}, "whole numbers from 1 to 255"),
+        ({"visits": 0.0}, "whole numbers from 1 to 255, got 0"),
+        ({"visits": 0}, "whole numbers from 1 to 255, got 0"),
         ({"visits": [1, 2]}, "must be one number or have the shape"),
         ({"visits": "often"}, "visits must be"),
         ({"executor": 2}, "must be a concurrent.futures.Executor"),
@@ -267,7 +269,7 @@ def test_nothing_to_plan(sky, small):
         rs.plan_survey(sky[:0], small, grid(1.2))
     with pytest.raises(rs.InputError, match="at least one tile"):
         rs.plan_survey(sky, small, grid(1.2).table[:0])
-    nobody = rs.plan_survey(sky, small, grid(1.2), visits=0)
+    nobody = rs.plan_survey(sky, small, grid(1.2), visits=[0] * len(sky))
     assert nobody.summary["n_assigned"] == 0
     assert set(nobody.summary["outcomes"]) == {"not requested"}
 

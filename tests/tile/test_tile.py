@@ -343,7 +343,8 @@ def test_a_tile_says_which_model_was_used_and_why_it_suffices(presets, sky):
         tile = rs.plan_tile(sky, presets[name], CENTER, allocator="lamost_rule")
         said[name] = tile.summary["model"]
         plane = presets[name].focal_plane
-        near, tested = map(int, re.search(r"for (\d+) of (\d+) pairs of arms", said[name]).groups())
+        found = re.search(r"(\d+) pairs of arms can touch. In this plan, the arms of (\d+) of these pairs", said[name])
+        tested, near = map(int, found.groups())
         assert tested == len(plane.neighbor_pairs())
         # all pairs with a distance less than the length of an arm are listed
         middle = np.column_stack(

@@ -353,7 +353,8 @@ def test_few_targets(method, coord):
         ({"radius": None}, "an instrument or the radius"),
         ({"allocator": "lamost_rule"}, "an allocator needs the positioners of an instrument"),
         ({"visits": [1, 2]}, "visits must be one number or have the shape"),
-        ({"visits": 0}, "at least one science target that requires a visit and is not in a region of exclude"),
+        ({"visits": 0}, "visits must be whole numbers from 1 to 255, got 0"),
+        ({"visits": [0] * 20}, "at least one science target that requires a visit and is not in a region of exclude"),
         (
             {"exclude": rs.Region.whole_sky()},
             "at least one science target that requires a visit and is not in a region of exclude",

@@ -124,8 +124,6 @@ def pairs(scene, found: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray, 
         a, b = a[some], b[some]
         nearest, reach = shapely.distance(shapes[a], shapes[b]), limit + radii[a] + radii[b]
         near = (nearest < reach) | ((reach == 0) & (nearest == 0))
-        flush = np.flatnonzero(near & (reach == 0))  # shapes that only touch do not collide
-        near[flush] = ~shapely.touches(shapes[a[flush]], shapes[b[flush]])
         close.append(np.unique(np.column_stack([pose[a[near]], pose[b[near]]]), axis=0))
     both = np.unique(np.concatenate(close), axis=0)
     hit = np.zeros(len(parts), dtype=bool)

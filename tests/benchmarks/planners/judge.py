@@ -89,8 +89,7 @@ def gaps(parts: list[list[tuple]], limit: float) -> set[tuple[int, int]]:
     some = (rows[a] < rows[b]) & (eccentric[a] | eccentric[b])
     a, b = a[some], b[some]
     closer = shapely.distance(shapes[a], shapes[b]) < limit + radii[a] + radii[b]
-    flush = limit + radii[a] + radii[b] == 0  # shapes that only touch do not collide
-    closer |= flush & shapely.intersects(shapes[a], shapes[b]) & ~shapely.touches(shapes[a], shapes[b])
+    closer |= (limit + radii[a] + radii[b] == 0) & shapely.intersects(shapes[a], shapes[b])
     return {(int(i), int(j)) for i, j in zip(rows[a][closer], rows[b][closer], strict=True)}
 
 

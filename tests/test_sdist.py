@@ -1,0 +1,84 @@
+"""An sdist that is made without git is complete, and the wheel from it works without permission to write."""
+
+import ctypes
+import os
+import shutil
+import subprocess
+import sys
+import tarfile
+import tempfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+NOBODY, PR_CAPBSET_DROP, CAP_DAC_OVERRIDE = 65534, 24, 1
+CODE = """
+import os, rfpsurvey as rs, sys, astropy.units as u
+assert not os.access(sys.argv[1], os.W_OK, effective_ids=True)
+assert rs.__file__.startswith(sys.argv[1]), rs.__file__
+plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 1 * u.mm))
+print(len(rs.example_catalog("anticenter")), len(rs.find_collisions(plane, [[10, 0], [10, 0]] * u.mm).pairs))
+"""
+
+
+@pytest.fixture
+def folder():
+    """Return a temporary folder that other users can read, unlike ``tmp_path``."""
+    path = Path(tempfile.mkdtemp())
+    path.chmod(0o755)
+    yield path
+    for one in [path, *path.rglob("*")]:
+        if one.is_dir() and not one.is_symlink():
+            one.chmod(0o755)
+    shutil.rmtree(path)
+
+
+def call(*words, cwd, **options):
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(("PYTHON", "NUMBA", "COV"))}
+    environment |= options.pop("env", {})
+    found = subprocess.run(words, cwd=cwd, env=environment, capture_output=True, text=True, **options)
+    assert found.returncode == 0, found.stdout + found.stderr
+    return found.stdout
+
+
+def unprivileged():
+    """Return options of a process that cannot write to read-only files, although the tests may run as root."""
+    if os.geteuid() != 0:
+        return {}
+    other = {"user": NOBODY, "group": NOBODY, "extra_groups": []}
+    try:
+        subprocess.run([sys.executable, "-c", "import numba, astropy"], check=True, capture_output=True, **other)
+    except (OSError, subprocess.CalledProcessError):  # other users cannot run this Python
+        return {"preexec_fn": lambda: ctypes.CDLL(None).prctl(PR_CAPBSET_DROP, CAP_DAC_OVERRIDE, 0, 0, 0)}
+    return other
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="the test changes the user of a process")
+def test_an_sdist_without_git_is_built_and_installed(folder):
+    """Regression: the build step ``data/wheel.py`` was missing, so that the wheel could not be built."""
+    if not (ROOT / "pyproject.toml").is_file():
+        pytest.skip("the files of the project are not part of this installation")
+    pytest.importorskip("setuptools_scm", reason="the build without isolation needs setuptools_scm")
+    tree, dist, target = (folder / name for name in ("tree", "dist", "target"))
+    ignored = (".*", "*.egg-info", "__pycache__", "_version.py", "build", "dist", "_build", "baseline")
+    shutil.copytree(ROOT, tree, ignore=shutil.ignore_patterns(*ignored))
+    backend = "import sys; from setuptools.build_meta import build_sdist; print(build_sdist(sys.argv[1]))"
+    name = call(sys.executable, "-c", backend, dist, cwd=tree).split()[-1]
+    with tarfile.open(dist / name) as file:
+        names = {one.partition("/")[2] for one in file.getnames()}
+    assert {"data/wheel.py", "data/tycho2_anticenter_r5.ecsv.gz", "tests/test_sdist.py", "tox.ini"} <= names
+    assert not any(one.endswith((".pyc", ".nbi", ".nbc")) for one in names)
+    pip = sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"
+    call(*pip, "wheel", "--no-build-isolation", "--no-deps", "--wheel-dir", dist, dist / name, cwd=folder)
+    (wheel,) = dist.glob("*.whl")
+    call(*pip, "install", "--no-deps", "--target", target, wheel, cwd=folder)
+    home, words = folder / "home", [sys.executable, "-c", CODE, str(target)]
+    home.mkdir()
+    options = unprivileged()
+    os.chown(home, options.get("user", os.getuid()), -1)
+    for path in [*target.rglob("*"), target]:
+        path.chmod(path.stat().st_mode & 0o555)
+    own = {"PYTHONPATH": str(target), "HOME": str(home), "XDG_CACHE_HOME": str(home)}
+    n_targets, n_pairs = call(*words, cwd=home, env=own, **options).split()
+    assert (int(n_targets) > 1000, int(n_pairs)) == (True, 1)
