@@ -53,7 +53,8 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         n = len(request.tiling)
         found = None
         if folder is not None:
-            found = read_finished(folder.path, n, joint=request.joint is not None, state=request.state)
+            kinds = {"joint": request.joint is not None, "cadences": request.cadences is not None}
+            found = read_finished(folder.path, n, **kinds, state=request.state)
         if found is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)

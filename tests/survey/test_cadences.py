@@ -157,6 +157,16 @@ def test_bad_cadences(table, message):
         rs.plan_survey(catalog, instrument(), tiling, visits=Cadences(table), allocator="nearest")
 
 
+def test_a_finished_survey_with_cadences_is_read_and_not_planned_again(tmp_path, monkeypatch):
+    """Exposures of incomplete epochs do not count, so that each tile was read and prepared again."""
+    catalog, tiling = scene(1)
+    options = {"visits": Cadences(TABLE), "allocator": "nearest", "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(catalog, instrument(), tiling, **options)
+    monkeypatch.setattr(rs.survey._run, "_jobs_of", None)
+    again = rs.plan_survey(catalog, instrument(), tiling, **options, resume=True)
+    assert again.summary == survey.summary
+
+
 def padded(n_columns, upper):
     """Return the table of cadences in the layout of the files of SDSS-V, with a long cadence that no target has."""
     names = {"n_exp": "nexp"} if upper else {}
