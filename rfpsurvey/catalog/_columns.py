@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._readers import is_number
@@ -29,7 +30,8 @@ ROLES = {
     "pmdec": ("pmdec pm_dec pmde pmdec_icrs mu_dec", "pos.pm;pos.eq.dec"),
     "epoch": ("ref_epoch epoch refepoch epoch_ref gaia_epoch", "meta.ref;time.epoch"),
     "id": (
-        "id source_id source target_id targetid tyc catalogid objid obj_id object_id designation rsid name identifier",
+        "id source_id source target_id targetid tyc catalogid objid obj_id object_id designation rsid name identifier "
+        "target",
         "meta.id;meta.main",
     ),
     "priority": ("priority target_priority", ""),
@@ -118,7 +120,7 @@ class Finder:
             if name not in self.table.colnames:
                 raise InputError(f"there is no column {name!r} for {role}; {self.listing()}")
             return name
-        lower = {c.lower(): c for c in reversed(self.table.colnames)}
+        lower = {c.lower(): c for c in reversed(self.table.colnames) if not isinstance(self.table[c], SkyCoord)}
         names, ucd = ROLES[role]
         for name in names.split():
             if name in lower:

@@ -422,3 +422,12 @@ def test_identifiers_that_are_bytes_in_a_column_of_objects_are_text():
 def test_the_center_of_a_circle_must_be_one_direction():
     with pytest.raises(rs.InputError, match=r"center must be one direction, got the shape \(2,\)"):
         rs.Catalog.from_table(table()).within(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG)
+
+
+def test_a_column_target_contains_the_identifiers():
+    """Tables of observations name the identifiers of targets target, and catalogs id or target_id."""
+    for name in ("id", "target_id", "target"):
+        table = QTable({"ra": [1, 2] * u.deg, "dec": [1, 2] * u.deg, name: ["a", "b"]})
+        assert rs.Catalog.from_table(table).id.tolist() == ["a", "b"]
+    coord = SkyCoord([1, 2] * u.deg, [3, 4] * u.deg)
+    assert rs.Catalog.from_table(QTable({"target": coord})).id.tolist() == [0, 1]

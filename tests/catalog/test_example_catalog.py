@@ -68,6 +68,7 @@ def test_commands_refuse_an_unknown_example(run):
 
 
 @pytest.mark.few(1)
+@pytest.mark.filterwarnings("ignore:setuptools-scm")
 @pytest.mark.parametrize("editable", [False, True])
 def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
     spec = importlib.util.spec_from_file_location("wheel", ROOT / "data" / "wheel.py")
