@@ -45,12 +45,21 @@ def has_role(kind: np.ndarray, role: str) -> np.ndarray:
 
 def without_science(kind: np.ndarray) -> np.ndarray:
     """Return kinds without the role science, for targets that have other roles."""
-    return np.char.replace(kind, "science+", "")
+    return _without(kind, "science+")
+
+
+def last_role(kind: np.ndarray) -> np.ndarray:
+    """Return the last role of each target, for files that have one role for each target."""
+    return np.array([one.rpartition("+")[2] for one in kind.tolist()], dtype=kind.dtype)
 
 
 def without_role(kind: np.ndarray, role: str, where: np.ndarray) -> np.ndarray:
-    """Return kinds in which the marked targets, which have other roles before this one, do not have a role."""
-    return np.where(where, np.char.replace(kind, f"+{role}", ""), kind)
+    """Return kinds in which the marked targets, which also have other roles, do not have a role."""
+    return np.where(where, _without(_without(kind, f"{role}+"), f"+{role}"), kind)
+
+
+def _without(kind: np.ndarray, text: str) -> np.ndarray:
+    return np.char.replace(kind, text, "") if kind.size else kind
 
 
 def count_roles(kind: np.ndarray) -> str:

@@ -5,9 +5,10 @@ from itertools import permutations
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey._roles import count_roles, has_role, to_kinds, without_science
+from rfpsurvey._roles import count_roles, has_role, last_role, to_kinds, without_role, without_science
 
 ROLES = ("science", "standard", "sky")
 KINDS = [kind for n in (1, 2, 3) for kind in permutations(ROLES, n)]
@@ -22,8 +23,17 @@ def test_roles_of_all_kinds(length):
         if len(roles) > 1:
             assert rest.split("+") == [role for role in ROLES[1:] if role in roles]
     for role in ROLES:
+        rest = without_role(kind, role, np.char.find(kind, "+") >= 0).tolist()
+        assert [one.split("+") for one in rest] == [
+            [own for own in one.split("+") if own != role or "+" not in one] for one in kind.tolist()
+        ]
         assert has_role(kind, role).tolist() == [role in roles for roles in KINDS]
-    assert to_kinds([], "kind").shape == (0,)
+    assert (
+        to_kinds([], "kind").shape
+        == without_science(kind[:0]).shape
+        == without_role(kind[:0], "sky", True).shape
+        == (0,)
+    )
     others = np.array(["", "star", "Sky+Science", "standard"])
     assert to_kinds(others, "kind", strict=False).tolist() == ["", "star", "science+sky", "standard"]
 
@@ -74,6 +84,27 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     assert code == 0, err
     assert "roles: 30 science and standard, 55 science, 5 standard" in " ".join(out.split())
     assert "that are science targets (standard)" in out
+
+
+def test_collision_probabilities_use_science_targets_with_other_roles(small):
+    sky = rs.synthetic_catalog("uniform", "8h +30d", 0.3 * u.deg, n_targets=90, rng=1).coord
+    kind = np.where(np.arange(90) % 3, "science+standard", "science")
+    found = [
+        rs.collision_probability(small, targets=rs.Catalog(sky, kind=one), center="8h +30d") for one in (kind, None)
+    ]
+    assert found[0].value == found[1].value > 0
+
+
+def test_unset_visits_of_a_science_target_with_other_roles_have_a_warning():
+    table = Table({"ra": [1.0, 2.0], "dec": [0.0, 0.0], "kind": ["sky", "science+standard"], "NUMOBS_INIT": [-1, -1]})
+    with pytest.warns(rs.RfpsurveyWarning, match="negative"):
+        rs.Catalog.from_table(table)
+
+
+def test_formats_with_one_role_keep_the_last_one():
+    assert last_role(np.array(["science", "science+standard", "standard+sky", ""])).tolist() == [
+        *("science", "standard", "sky", "")
+    ]
 
 
 def replace_kind(catalog):

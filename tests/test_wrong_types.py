@@ -109,6 +109,7 @@ NOT_LOOKED_AT = {
     "Catalog.read-frame",
     "Catalog.read-fill",
     "Catalog.read-keep",
+    "Catalog.read-select",
     "FocalPlane.reachable-fiber_type",
     "allocate-fiber_type",  # the focal plane has no fiber types
 }

@@ -7,7 +7,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._readers import is_number
-from rfpsurvey._roles import count_roles, to_kinds
+from rfpsurvey._roles import count_roles, has_role, to_kinds
 from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
@@ -54,7 +54,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
         unset &= ~is_unusable(bits)
     elif category is not None:
         kind = _kind_of_category(category)
-    if (unset := unset if kind is None else unset & (kind == "science")).any():
+    if (unset := unset if kind is None else unset & has_role(kind, "science")).any():
         text = f"column {find.name_of('visits')!r} (visits) is negative (not set) in {rows_of(unset)}"
         warn(f"{text}, which are not standard stars or sky positions; no visits of these targets are requested")
     if find.format is not None and find.format.mode:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._roles import KINDS, has_role, without_role
+from rfpsurvey._roles import JOINED, KINDS, without_role
 from rfpsurvey._units import to_plain
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.collision import Arms, CollisionReport, place_arms
@@ -126,8 +126,8 @@ def apply_constraints(
     for one in constraints:
         circles.append(circles_of(one, given) if "obstacles" in one.parts else circles[0])
         wrong, what = excluded_by(one, given), getattr(one, "what", "") if isinstance(one, Rule) else ""
-        if wrong is not None and what in KINDS[1:]:
-            only = wrong & has_role(given.kind, "science") & (given.category != what)
+        if wrong is not None and what in KINDS[1:] and xy is None:
+            only = wrong & np.isin(given.kind, JOINED) & (given.category != what)
             field, wrong = replace(field, kind=without_role(field.kind, what, only)), wrong & ~only
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
     sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)

@@ -315,9 +315,11 @@ class FieldBuilder:
         more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": self.around_rad}
         field = self.source.field(center, radius_rad, left, always=self.lasting, **more)
         columns = field.targets.columns
+        required = None if self.is_required is None else self.is_required[field.slot]
         if self.lasting is not None:
-            is_done = left[field.slot] == 0
+            is_done = self.lasting[field.slot] & (left[field.slot] == 0)
             columns = columns._replace(kind=np.where(is_done, without_science(columns.kind), columns.kind))
-        if self.is_required is not None:
-            columns = columns._replace(is_required=self.is_required[field.slot])
+            required = None if required is None else required & ~is_done
+        if required is not None:
+            columns = columns._replace(is_required=required)
         return field._replace(targets=field.targets._replace(columns=columns))

@@ -15,7 +15,7 @@ from astropy.utils.exceptions import AstropyDeprecationWarning
 
 from rfpsurvey._io import output_path, suffix_of
 from rfpsurvey._readers import content_of, head_of, is_number, sentence
-from rfpsurvey._roles import without_science
+from rfpsurvey._roles import last_role
 from rfpsurvey._units import check_columns
 from rfpsurvey.catalog import to_time
 from rfpsurvey.errors import InputError
@@ -323,7 +323,7 @@ def _given(plan: QTable, struct: dict) -> dict:
         given.setdefault(name, np.zeros(len(plan), dtype=int))
     first = [t if t else "BOSS" for t in plain["fiber_type"].tolist()]
     given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
-    category = plain.get("category", without_science(plain["kind"].astype(str))).astype(str)
+    category = plain.get("category", last_role(plain["kind"].astype(str))).astype(str)
     given["category"] = np.where(np.isin(category, ("sky", "standard")), _joined(category, first), category)
     given["xwok"], given["ywok"] = _coded(x), _coded(y)
     angle = plan.meta.get("position_angle")

@@ -179,13 +179,14 @@ def _is_assigned(status, target) -> np.ndarray:
 
 
 def _kinds(values) -> np.ndarray:
-    """Return the kinds of targets; a target that is both a science target and a standard has both roles."""
+    """Return the kinds of targets, with all roles of each target."""
     if "FA_TYPE" in values:
         bits = values["FA_TYPE"]
-        conditions = [(bits & (SKY | SUPPLEMENTAL_SKY)) != 0, (bits & STANDARD) != 0, (bits & SCIENCE) != 0]
-        if (both := ~conditions[0] & conditions[1] & conditions[2]).any():
-            return np.where(both, "science+standard", np.select(conditions, ["sky", "standard", "science"], ""))
-    elif "OBJTYPE" in values:
+        roles = (("science", SCIENCE), ("standard", STANDARD), ("sky", SKY | SUPPLEMENTAL_SKY))
+        sums, rows = np.unique(bits, return_inverse=True)
+        names = ["+".join(role for role, bit in roles if one & bit) for one in sums.tolist()]
+        return np.array([*names, "standard"])[rows.reshape(-1)]
+    if "OBJTYPE" in values:
         word = np.char.strip(values["OBJTYPE"])
         conditions = [word == "SKY", np.zeros(len(word), dtype=bool), word == "TGT"]
     else:

@@ -332,8 +332,10 @@ def texts_of_lost(plan: QTable, names: list[str], format: str) -> list[str]:  # 
     found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
     if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
         found.append("the keywords of the header")
-    if format != "fiberassign" and np.isin(plan["kind"], JOINED).any():
-        found.append("the role science of targets that have several roles")
+    kinds = np.asarray(plan["kind"]).astype(str)
+    if format != "fiberassign" and (several := np.unique(kinds[np.isin(kinds, JOINED)])).size:
+        lost = sorted({role for kind in several.tolist() for role in kind.split("+")[:-1]})
+        found.append(f"the role{'s' * (len(lost) > 1)} {' and '.join(lost)} of targets that have several roles")
     return found
 
 

@@ -4,6 +4,7 @@ import numpy as np
 from astropy.table import QTable
 from matplotlib.ticker import MaxNLocator
 
+from rfpsurvey._roles import JOINED
 from rfpsurvey.errors import number_of
 from rfpsurvey.pipeline import OUTCOMES, Outcome
 from rfpsurvey.plot._axes import legend_below, legend_line
@@ -104,10 +105,19 @@ def _draw_fibers(ax, survey):
     bottom, handles = np.zeros(len(passes)), []
     # surveys that older versions saved have only the column n_science
     columns = {kind: f"n_{kind}" for kind in KINDS if f"n_{kind}" in tiles.colnames}
-    for kind, name in columns.items():
-        n = np.bincount(place, weights=np.asarray(tiles[name], float))
+    numbers = {kind: np.asarray(tiles[name], float) for kind, name in columns.items()}
+    several = {}
+    for k in np.flatnonzero(sum(numbers.values()) > np.asarray(tiles["n_assigned"])).tolist():
+        kinds, counts = np.unique(np.asarray(survey.tile(tiles["tile"][k])["kind"]), return_counts=True)
+        for kind, n in zip(kinds.tolist(), counts.tolist(), strict=True):
+            if kind in JOINED:
+                several.setdefault(kind, np.zeros(len(tiles)))[k] = n
+                for role in kind.split("+"):
+                    numbers[role][k] -= n
+    for kind, values in {**numbers, **several}.items():
+        n = np.bincount(place, weights=values)
         if n.any():
-            label = f"{KINDS[kind]}: {n.sum():.0f}"
+            label = f"{KINDS.get(kind, kind).replace('+', ' and ')}: {n.sum():.0f}"
             handles.append(ax.bar(np.arange(len(passes)), n, 0.75, bottom, color=KIND_COLORS[kind], label=label))
         bottom = bottom + n
     rest = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)

@@ -8,6 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._kernels import simulate
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_points_mm, to_scalar
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, InputTypeError, short
@@ -151,7 +152,7 @@ def _from_catalog(instrument, targets, center):
         if len(targets) == 0:
             raise InputError("targets must have at least one row, got an empty Catalog")
         center = targets.mean_direction
-    wanted = np.ones(len(targets), dtype=bool) if targets.kind is None else targets.kind == "science"
+    wanted = np.ones(len(targets), dtype=bool) if targets.kind is None else has_role(targets.kind, "science")
     science = np.flatnonzero(wanted if targets.visits is None else wanted & (targets.visits > 0))
     types, priority = (None if c is None else c[science] for c in (targets.fiber_type, targets.priority))
     xy, types = project_field(instrument, instrument.projection(center).plain, targets.arrays.vectors[science], types)

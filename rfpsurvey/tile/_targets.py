@@ -134,8 +134,11 @@ def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict
     return {name: with_unit(values, catalog.arrays.extra_units.get(name)) for name, values in found.items()}
 
 
-def completeness_table(outcomes: QTable) -> QTable:
-    """Return a table with a row for each kind, each category, and each priority class of science targets."""
+def completeness_table(outcomes: QTable, kinds: dict) -> QTable:
+    """Return a table with a row for each kind, each category, and each priority class of science targets.
+
+    ``kinds`` are the `counts_by_kind`, since rules can remove a role of targets.
+    """
     outcome = np.asarray(outcomes["outcome"])
     kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
     science = has_role(kind, "science")
@@ -147,14 +150,16 @@ def completeness_table(outcomes: QTable) -> QTable:
     }
     rows = []
 
-    def add(selected, **labels):
+    def add(selected, most=None, **labels):
         counts = [int(np.count_nonzero(mask & selected)) for mask in masks.values()]
+        if most is not None:
+            counts[2:] = [min(counts[2], most["n_assigned"]), min(counts[3], most["n_observed"])]
         labels = [labels.get(name, "all") for name in ("kind", "category", "priority")]
         rows.append((*labels, *counts, counts[-1] / max(counts[0], 1)))
 
     for name in KINDS:
         if name == "science" or has_role(kind, name).any():
-            add(has_role(kind, name), kind=name)
+            add(has_role(kind, name), kinds.get(name), kind=name)
     if "category" in outcomes.colnames:
         class_of, names = category_classes(np.asarray(outcomes["category"]), masks["n_in_field"])
         for k, name in enumerate(names if len(names) > 1 else []):

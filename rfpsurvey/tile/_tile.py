@@ -188,7 +188,7 @@ class Tile:
         (number of assigned targets that are not lost to a collision) and ``completeness``, which is ``n_observed``
         divided by ``n_in_field``. The table is None if there are no `outcomes`.
         """
-        return None if self.outcomes is None else completeness_table(self.outcomes)
+        return None if self.outcomes is None else completeness_table(self.outcomes, self.summary.get("kinds", {}))
 
     @cached_property
     def _idle(self) -> tuple[QTable, QTable] | None:

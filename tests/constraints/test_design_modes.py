@@ -63,6 +63,7 @@ def outside(rows, band, low, high):
     return known, sorted(wrong)
 
 
+@pytest.mark.filterwarnings("ignore:the recorded joint angles.*nominal")
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("mode", MODES)
 def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mode, real_data):

@@ -386,6 +386,7 @@ def test_limits_of_a_role_take_only_this_role_from_a_science_target(sky, small, 
     assert (kinds != kind[rows]).any()  # some science targets are too faint or too bright as standards
     n = int(np.sum(np.char.find(kinds, "standard") >= 0))
     assert tile.summary["kinds"]["standard"]["n_assigned"] == n
+    assert dict(zip(tile.completeness["kind"], tile.completeness["n_assigned"], strict=True))["standard"] == n
     assert not tile.summary["unmet"]
     assert {one["verdict"] for one in tile.rules} == {"pass"}
     score = rs.score_tile(tile.table, small, constraints=[limits, needs])
@@ -394,3 +395,15 @@ def test_limits_of_a_role_take_only_this_role_from_a_science_target(sky, small, 
         catalog, small, ["magnitude mag 9.5 14 science"], allocator
     )  # of a rule on science, the target is excluded
     assert fits[with_fiber(plain, catalog)].all()
+    table["kind"] = kind[rows]  # a finished plan states which fibers are standards
+    scored = {one["rule"]: one["number"] for one in rs.score_tile(table, small, constraints=[limits, needs]).rules}
+    standard = np.char.find(kind[rows], "standard") >= 0
+    assert list(scored.values()) == [standard.sum(), (standard & ~fits[rows]).sum()]
+
+
+def test_limits_of_standards_do_not_exclude_sky_positions(sky, small):
+    kind = np.where(np.arange(len(sky)) % 2, "standard+sky", "science")
+    catalog = rs.Catalog(sky.coord, id=sky.id, kind=kind, extra=sky.extra)
+    tile = plan(catalog, small, ["magnitude mag 30 31 standard", "sky=20"], "repair")
+    assert not tile.summary["unmet"]
+    assert {"sky", "science"} >= set(tile.table["kind"][tile.table["status"] == "assigned"].tolist())

@@ -368,3 +368,15 @@ def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_dat
     has = tile.table["status"] == "assigned"
     assert_array_equal(tile.table["target_id"][has], again.table["target_id"][has])
     assert np.abs(tile.table["tip_x"] - again.table["tip_x"])[has].max() < 2e-5 * u.mm
+
+
+def test_the_sum_of_the_bits_has_all_roles_of_a_target(path, tmp_path):
+    plan = plans.read_plan(path)
+    sums = {1: "science", 3: "science+standard", 5: "science+sky", 6: "standard+sky", 7: "science+standard+sky"}
+    plan["kind"] = np.array([*sums.values()])[np.arange(len(plan)) % len(sums)]
+    plans.write_plan(plan, tmp_path / "new.fits", format="fiberassign")
+    native = fits.getdata(tmp_path / "new.fits", "FIBERASSIGN")
+    expected = dict(zip(np.asarray(plan["positioner"]).tolist(), plan["kind"].tolist(), strict=True))
+    assert [sums[one] for one in native["FA_TYPE"].tolist()] == [expected[one] for one in native["LOCATION"].tolist()]
+    found = plans.read_plan(tmp_path / "new.fits")
+    assert dict(zip(found["positioner"].tolist(), found["kind"].tolist(), strict=True)) == expected

@@ -8,6 +8,7 @@ import pytest
 from living import events, instrument, tiling
 
 import rfpsurvey as rs
+from rfpsurvey.plot import plot_quality
 from rfpsurvey.survey import _run
 
 CENTER = rs.Tiling.from_table(tiling().table).coord[0]
@@ -107,3 +108,27 @@ def test_joint_plans_make_no_more_visits_than_requested():
     several = np.char.find(catalog.kind, "science") >= 0
     assert (times <= catalog.visits)[several].all()
     assert survey.summary["n_visits_observed"] == times[several].sum()
+
+
+def test_required_targets_are_required_only_until_their_visits_are_observed():
+    """A requirement that every plan meets made required standards take precedence in every tile of a survey."""
+    catalog, tiles = targets(4, n=60), rs.Tiling.from_table(tiling(4, n=8, size=0.05).table)
+    kind = np.where(np.arange(60) < 3, "science+standard", "science")
+    catalog, found = replace(catalog, kind=kind, visits=np.ones(60)), []
+    for requirements in ([], ["standard=0-7"]):
+        options = rs.AllocationOptions("optimal", required=catalog.id[:3], requirements=requirements)
+        found.append(rs.plan_survey(catalog, instrument(), tiles, allocator=options))
+    assert found[0].summary["n_visits_observed"] == found[1].summary["n_visits_observed"]
+
+
+def test_bars_of_fibers_count_each_fiber_once():
+    catalog, tiles = targets(5), rs.Tiling.from_table(tiling(5, n=8).table)
+    options = rs.AllocationOptions("repair", requirements=REQUIREMENTS)
+    survey = rs.plan_survey(catalog, instrument(), tiles, allocator=options)
+    fibers = plot_quality(survey)[2]
+    tops = [bar.get_y() + bar.get_height() for bar in fibers.containers[-1]]
+    assert tops == [4 * 7, 4 * 7]
+    kinds = np.concatenate([np.asarray(visits["kind"]) for visits in survey])
+    n = np.count_nonzero(kinds == "science+standard")
+    assert n > 0
+    assert f"science and standard: {n}" in [text.get_text() for text in fibers.get_legend().get_texts()]
