@@ -95,8 +95,8 @@ FACTOR = "max(p / true p, true p / p) - 1"
 def excess(ratio):
     """Return how much the factor between an estimated and the true probability exceeds 1, given their ratio.
 
-    For small errors, this is the relative error. Unlike the relative error, it has no upper limit if the estimate is too
-    small.
+    For small errors, this is the relative error. Unlike the relative error, it has no upper limit if the estimate is
+    too small.
     """
     return max(ratio, 1 / ratio) - 1
 
