@@ -213,7 +213,7 @@ PARTS = {f.__name__: f for f in (tile, growth, surface, arms, gaps, classes, bro
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", choices=PARTS, default=None)
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--targets", type=float, default=40e6)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", help="folder for temporary files")
