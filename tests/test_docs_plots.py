@@ -49,3 +49,20 @@ def test_plots_of_trade_offs_can_be_drawn_for_an_own_instrument(name, tmp_path, 
         plt.close(drawn["figure"])
     with Image.open(tmp_path / "mine.png") as image:
         assert min(heights) / 72 * 120 * 500 / image.width >= 9  # pixels, if the plot is 500 pixels wide
+
+
+def test_errors_of_probabilities_have_one_measure_that_does_not_saturate(monkeypatch):
+    """Regression: one figure showed absolute errors, another relative errors, of which all are at most 100 % if the
+    estimate is too small.
+    """
+    monkeypatch.syspath_prepend(DOCS / "figures")
+    import trade_offs
+
+    assert trade_offs.excess(1.01) == pytest.approx(0.01)
+    assert (
+        trade_offs.excess(0.061 / 0.418) == pytest.approx(trade_offs.excess(0.418 / 0.061)) == pytest.approx(5.85, 0.01)
+    )
+    assert trade_offs.excess(0.1) > 3 * trade_offs.excess(0.3)
+    for name in ("speed_accuracy", "failures"):
+        text = (DOCS / "figures" / f"{name}.py").read_text()
+        assert "set_ylabel(trade_offs.FACTOR" in text

@@ -32,14 +32,14 @@ def collisions():
 
 
 def probabilities():
-    """Return the relative error of the collision probability from each formula, for different pitches."""
-    ratio = np.array([1.05, 1.2, 1.4, 1.6, 1.8])
+    """Return the error of the collision probability from each formula, for different pitches."""
+    ratio = np.array([1.05, 1.2, 1.35, 1.5, 1.65, 1.8, 1.95])
     errors = {name: [] for name in FORMULAS.values()}
     for one in ratio:
         plane = trade_offs.simple_plane(instrument, one * longest, rings=3)
-        true = rs.collision_probability(plane, method="quadrature", precision=1e-3).value
+        true = rs.collision_probability(plane, method="quadrature", precision=1e-4).value
         for name, text in FORMULAS.items():
-            errors[text].append(abs(rs.collision_probability(plane, method=name).value / true - 1))
+            errors[text].append(trade_offs.excess(rs.collision_probability(plane, method=name).value / true))
     return ratio, errors, "pitch / reach of the arms"
 
 
@@ -85,18 +85,22 @@ for ax, task, title, form, green, limit, low in (
     x, found, title_x = task()
     ax.axhspan(low, limit, color="#009E73", alpha=0.18, lw=0)
     trade_offs.logarithmic(ax.yaxis, form)
-    own = [(green, {"color": "#00684C", "weight": "bold"}, np.transpose([x, np.full(len(x), 2 * low)]))]
+    own = [(green, {"color": "#00684C", "weight": "bold"}, np.transpose([x, np.full(len(x), 4 * low)]))]
     for color, (name, values) in zip(trade_offs.COLORS, found.items(), strict=False):
-        values = np.maximum(values, low * 1.5)
-        ax.plot(x, values, "o-", color=color, ms=4)
+        shown = np.maximum(values, 2 * low)
+        ax.plot(x, shown, "o-", color=color, ms=4)
+        for where in np.compress(shown > values, x):
+            trade_offs.point_down(ax, where, 2 * low, color)
+        values = shown
         own.append((name, {"color": color}, np.transpose([x, values])))
     ax.set(xlabel=title_x, ylim=(low, 3 * np.max([line.get_ydata() for line in ax.lines])))
     ax.set_title(title, loc="left", weight="bold")
+    ax.set_ylabel(trade_offs.FACTOR if task == probabilities else "")
     entries[ax] = own
 axes[1, 0].set_xscale("log", base=2)
 axes[1, 0].set_xticks(TARGETS, map(str, TARGETS))
 axes[1, 1].invert_xaxis()
-figure.supxlabel(f"{instrument.name}; green: accurate enough", fontsize=10)
+figure.supxlabel(f"{instrument.name}; green: accurate enough; arrow: no error found", fontsize=10)
 for ax in entries:
     trade_offs.label(ax, entries[ax])
 trade_offs.finish(figure)

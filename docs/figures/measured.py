@@ -34,13 +34,18 @@ def collisions(instrument):
 
 @cache
 def probabilities(instrument):
-    """Return the times and errors of each method for a few positioners with the arms of the instrument."""
+    """Return the times and errors of each method for a few positioners with the arms of the instrument.
+
+    The error is ``excess`` of the ratio to the true value, or the relative root mean square error for several runs.
+    """
     plane = trade_offs.simple_plane(instrument, instrument.facts()["pitch"], rings=4)
     table = rs.benchmark.benchmark_probability(plane, efforts=EFFORTS, repeats=5, precision=1e-3)
     found = {name: [] for name in EFFORTS}
     for row in table:
-        found[row["method"]].append((row["time"].to_value(u.s), row["error"]))
-    return found, 1e-3
+        scatter, ratio = row["error"] / row["truth"], row["value"] / row["truth"]
+        error = scatter if row["effort"] else trade_offs.excess(ratio)
+        found[row["method"]].append((row["time"].to_value(u.s), error))
+    return found, float(np.max(table["truth_error"] / table["truth"]))
 
 
 @cache

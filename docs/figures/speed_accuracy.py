@@ -29,8 +29,7 @@ for ax, task, title, form, default in (
         shown = np.maximum(error, limit)
         ax.plot(time, shown, "o-", color=color, ms=7 if name in default else 4)
         for x, y in zip(time[error < limit], shown[error < limit], strict=True):
-            arrow = {"arrowstyle": "<-", "color": color}
-            ax.annotate("", (x, y), (0, -18), textcoords="offset points", arrowprops=arrow)
+            trade_offs.point_down(ax, x, y, color)
         style = {"color": color, "weight": "bold" if name in default else "normal"}
         entries[ax].append((NAMES.get(name, name), style, np.transpose([time, shown])))
     ax.margins(0.22, 0.15)
@@ -39,6 +38,7 @@ for ax, task, title, form, default in (
     low, high = ax.get_ylim()
     ax.set_ylim(low / (high / low) ** 0.12, high)
     ax.set_title(title, loc="left", weight="bold")
+    ax.set_ylabel(trade_offs.FACTOR if task == measured.probabilities else "")
     ax.grid(color="0.92")
     ax.set_axisbelow(True)
 note = "bold: selected automatically; arrow: no error found"

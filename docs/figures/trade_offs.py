@@ -88,6 +88,25 @@ def percent(value, _=None):
     return f"{100 * value:.10g} %"
 
 
+FACTOR = "max(p / true p, true p / p) - 1"
+"""Label of axes with errors of probabilities."""
+
+
+def excess(ratio):
+    """Return how much the factor between an estimated and the true probability exceeds 1, given their ratio.
+
+    For small errors, this is the relative error. Unlike the relative error, it has no upper limit if the estimate is
+    too small.
+    """
+    return max(ratio, 1 / ratio) - 1
+
+
+def point_down(ax, x, y, color):
+    """Draw an arrow that points down from a point whose error is smaller than the test can find."""
+    arrow = {"arrowstyle": "<-", "color": color}
+    ax.annotate("", (x, y), (0, -18), textcoords="offset points", arrowprops=arrow)
+
+
 def micrometers(value, _=None):
     """Return a length (um) with a unit."""
     return f"{value / 1000:.4g} mm" if value >= 1000 else f"{value:.4g} um"

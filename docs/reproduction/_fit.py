@@ -9,10 +9,14 @@ from scipy.linalg import solve
 from rfpsurvey._units import to_generator, to_mm
 from rfpsurvey.errors import InputError
 
-__all__ = ["PolynomialFit", "fit_polynomial"]
+__all__ = ["PUBLISHED", "PolynomialFit", "features", "fit_polynomial"]
 
 PENALTIES = np.logspace(-8, 2, 21)
 FOLDS = 5
+PUBLISHED = 1e-3 * np.array(
+    [18.6635, 4.61227, 15.9225, -15.0398, 1.07078, 2.67496, 2.87948, 2.23372, -3.19570, -8.26024]
+)
+"""Coefficients a to j of Table 3 of Chen et al. (2024), arXiv:2409.07288."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class PolynomialFit:
             If an argument has more than one dimension, or if values are not finite.
         """
         designs = _designs(central_arm, ratio, pitch)
-        return _features((designs - self.mean) / self.scale) @ self.coefficients
+        return features((designs - self.mean) / self.scale) @ self.coefficients
 
 
 def fit_polynomial(
@@ -140,12 +144,12 @@ def fit_polynomial(
     mean, scale = designs[train].mean(axis=0), designs[train].std(axis=0)
     if not (scale > 0).all():
         raise InputError("central_arm, ratio and pitch must each have at least two different values")
-    features = _features((designs - mean) / scale)
+    columns = features((designs - mean) / scale)
     folds = np.array_split(train, FOLDS)
-    errors = [sum(_miss(features, value, np.setdiff1d(train, f), f, w) for f in folds) for w in PENALTIES]
+    errors = [sum(_miss(columns, value, np.setdiff1d(train, f), f, w) for f in folds) for w in PENALTIES]
     penalty = float(PENALTIES[np.argmin(errors)])
-    coefficients = _ridge(features[train], value[train], penalty)
-    left = value - features @ coefficients
+    coefficients = _ridge(columns[train], value[train], penalty)
+    left = value - columns @ coefficients
     r2 = [1 - float(left[k] @ left[k]) / float(((value[k] - value[k].mean()) ** 2).sum()) for k in (train, test)]
     return PolynomialFit(coefficients, mean, scale, penalty, *r2)
 
@@ -163,7 +167,8 @@ def _designs(central_arm, ratio, pitch):
     return designs
 
 
-def _features(t):
+def features(t: np.ndarray) -> np.ndarray:
+    """Return the terms of the polynomial for designs with the columns x, y and z, shape (n, 3)."""
     x, y, z = t.T
     return np.column_stack([np.ones(len(t)), x, y, z, x * x, y * y, z * z, x * y, x * z, y * z])
 

@@ -4,9 +4,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim, verdict
+from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim, verdict
 from reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
-from reproduction._fit import fit_polynomial
+from reproduction._fit import PUBLISHED, features, fit_polynomial
 from rfpsurvey.probability import Estimate, Precision, interior_probability, surrogate_probability
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
@@ -209,12 +209,27 @@ def fit(settings: Settings, table: QTable | None = None) -> tuple[dict[str, QTab
             "fit",
             "coefficients of the polynomial",
             "table",
-            "see fit.ecsv",
-            UNDECIDED,
-            "the paper does not state how its variables and probabilities are scaled",
+            f"the mean of the paper's polynomial over the designs is {_means_of_published(table)}; the mean of the "
+            f"probabilities is {np.mean(table['covered']):.2f}; for the coefficients of the fit, see fit.ecsv",
+            NOT_REPRODUCED,
+            "the paper does not state how its variables and probabilities are scaled; none of four usual scalings of "
+            "the variables gives the mean probability",
         )
     )
     return {"fit": QTable(rows=rows, names=names), "surrogate": _surrogate(settings)}, claims
+
+
+def _means_of_published(table) -> str:
+    """Return the means of the published polynomial for four scalings of the variables."""
+    designs = np.column_stack([table[name].value for name in ("central_arm", "ratio", "pitch")])
+    unit = (designs - designs.min(axis=0)) / np.ptp(designs, axis=0)
+    scaled = {
+        "without scaling (mm)": designs,
+        "for standardized variables": (designs - designs.mean(axis=0)) / designs.std(axis=0),
+        "for variables from 0 to 1": unit,
+        "for variables from -1 to 1": 2 * unit - 1,
+    }
+    return ", ".join(f"{(features(x) @ PUBLISHED).mean():.2g} {name}" for name, x in scaled.items())
 
 
 def _surrogate(settings):

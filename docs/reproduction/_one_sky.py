@@ -80,7 +80,7 @@ def _row(arms, rings, number, sky, settings):
     for _ in range(skies):
         tally = simulation.expect(1, rng)
         if len(tally.rates()):
-            found.append(summarize(tally, plane, precision, rng, given=True))
+            found.append(summarize([tally], plane, precision, rng, given=True))
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))

@@ -86,9 +86,7 @@ def benchmark_probability(
     rng = to_generator(rng)
     with used_elsewhere():  # methods use different options
         truth = {
-            kind: collision_probability(
-                instrument, method="auto", estimand=kind, precision=precision, rng=rng.spawn(1)[0], most_entries=64
-            )
+            kind: collision_probability(instrument, estimand=kind, precision=precision, rng=rng.spawn(1)[0])
             for kind in sorted(set(estimands.values()))
         }
     results: dict = {run: [] for run in runs}
@@ -185,7 +183,7 @@ def benchmark_densities(
     check_whole(n_allocations, "n_allocations")
     rng = to_generator(rng)
     model = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
-    found = {"allocated": collision_probability(instrument, method="auto", precision=precision, rng=rng)}
+    found = {"allocated": collision_probability(instrument, precision=precision, rng=rng)}
     for density in ("uniform", "shared", "voronoi"):
         options = {"method": "quadrature", "density": density, "precision": precision}
         found[density] = collision_probability(plane, rng=rng, **options)

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._units import to_center, to_scalar, to_unit
-from rfpsurvey.errors import InputError, check_keywords
+from rfpsurvey.errors import InputError, check_keywords, listed
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._instrument import Instrument, as_instrument
 from rfpsurvey.observing import (
@@ -49,6 +49,8 @@ class ProjectionComparison:
     drift : Quantity
         Largest distance between a target and its mean position during the exposure. No model of the projection can
         remove this distance.
+    not_included : tuple of str
+        Effects that no model includes, because the conditions do not contain the necessary data.
 
     Examples
     --------
@@ -62,10 +64,14 @@ class ProjectionComparison:
     table: QTable
     tolerance: u.Quantity | None
     drift: u.Quantity
+    not_included: tuple[str, ...] = ()
 
     @property
     def sufficient(self) -> str | None:
-        """Name of the cheapest model that is accurate enough; None if the tolerance is unknown."""
+        """Name of the cheapest model that is accurate enough; None if the tolerance is unknown.
+
+        Errors caused by the effects in ``not_included`` can exceed the tolerance.
+        """
         if self.tolerance is None:
             return None
         return str(self.table["model"][np.flatnonzero(self.table["sufficient"])[0]])
@@ -73,12 +79,17 @@ class ProjectionComparison:
     def __str__(self):
         """Return a sentence on the displacements of targets and the cheapest model that is accurate enough."""
         radial = self.table[list(MODELS).index("radial")]
-        moved = f"refraction and dispersion move targets by up to {radial['max']:.3g} ({radial['max_on_sky']:.2g})"
+        what = "refraction moves" if "dispersion" in " ".join(self.not_included) else "refraction and dispersion move"
+        moved = f"{what} targets by up to {radial['max']:.3g} ({radial['max_on_sky']:.2g})"
         if self.drift > 0 * u.mm:
             moved += f", and by up to {self.drift:.2g} during the exposure"
         if self.tolerance is None:
-            return f"{moved}; the tolerance is unknown"
-        return f"{moved}; the cheapest model within the tolerance of {self.tolerance:.3g} is {self.sufficient}"
+            model, larger = "the tolerance is unknown", ""
+        else:
+            model = f"the cheapest model within the tolerance of {self.tolerance:.3g} is {self.sufficient}"
+            larger = ", and possibly larger than the tolerance"
+        missing = f"; not included{larger}: {listed(self.not_included)}" if self.not_included else ""
+        return f"{moved}; {model}{missing}"
 
     @property
     def record(self) -> dict:
@@ -86,6 +97,7 @@ class ProjectionComparison:
         return {
             "sufficient": self.sufficient,
             "sentence": str(self),
+            "not_included": list(self.not_included),
             "tolerance_mm": None if self.tolerance is None else self.tolerance.to_value(u.mm),
             "drift_mm": round(float(self.drift.to_value(u.mm)), 6),
             "displacement_mm": {
@@ -223,7 +235,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     )
     for name in ("median", "p95", "max", "max_on_sky"):
         table[name].info.format = ".3g"
-    return ProjectionComparison(table, tolerance, drift)
+    return ProjectionComparison(table, tolerance, drift, cases[0].not_included)
 
 
 def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int]:

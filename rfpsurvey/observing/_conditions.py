@@ -58,10 +58,10 @@ class ObservingConditions(ByValue):
     hour_angle : Quantity, optional
         Hour angle of the field center at the midpoint of the exposure, positive west of the meridian, as an angle or as
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
-        are treated as apparent places.
+        are treated as apparent places, and differential aberration is not included.
     wavelength : Quantity or dict of str to Quantity, optional
         Wavelength in vacuum for which the positions of fibers are computed, or a dict with one wavelength for each
-        fiber type.
+        fiber type. By default, all fibers are assumed to observe at 0.54 um; presets contain no wavelengths.
     guide_wavelength : Quantity, optional
         Wavelength at which the telescope follows the field. By default, ``wavelength`` or, if it is a dict, the
         wavelength of the first fiber type in the dict.
@@ -244,6 +244,20 @@ class ObservingConditions(ByValue):
         if isinstance(self.wavelength, dict):
             return {name: float(wave.to_value(u.um)) for name, wave in self.wavelength.items()}
         return float(self.wavelength.to_value(u.um))
+
+    @property
+    def not_included(self) -> tuple[str, ...]:
+        """Effects on the positions of fibers that these conditions do not include, each with the reason in parentheses.
+
+        Differential aberration changes the scale of a field by up to 0.0001.
+        """
+        waves = self.wavelength.values() if isinstance(self.wavelength, dict) else [self.wavelength]
+        one = all(wave == self.guide_wavelength for wave in waves)
+        dispersion = (
+            f"dispersion (all fibers and the guide camera are assumed to observe at {self.guide_wavelength.to(u.um):g})"
+        )
+        aberration = "differential aberration (the conditions have an hour angle instead of a time)"
+        return (dispersion,) * one + (aberration,) * (self.time is None)
 
     @property
     def record(self) -> dict:

@@ -50,7 +50,7 @@ from rfpsurvey.probability._targets import make_source
 def collision_probability(
     instrument: FocalPlane | Instrument | str,
     *,
-    method: str | Callable = "conditional",
+    method: str | Callable = "auto",
     estimand: str | None = None,
     targets: RandomTargets | str | Catalog | u.Quantity | Callable = "uniform",
     center: SkyCoord | None = None,
@@ -102,7 +102,7 @@ def collision_probability(
     most_entries : int, optional
         Maximum number of targets that ``conditional`` uses from each queue. If a queue is longer, each realization uses
         a random sample of this size from the queue. Realizations are then faster, and a given precision is reached
-        sooner. With None, all targets are used.
+        sooner. With None, all targets are used; the method ``auto`` uses at most 24 random targets of each queue.
     density : str, callable, Allocation or list of Allocation, optional
         Density of independent targets: ``"uniform"`` (default) over the patrol area; ``"shared"``, with the weight 1/k
         at points that k positioners reach; ``"voronoi"``, uniform over the points that are nearer to the center of the
@@ -194,9 +194,9 @@ def collision_probability(
         source = make_source(plane, instrument, targets, center)
         warn_of_unused_options([options], plane)
     if chosen is None:
-        chosen, choice = automatic(estimand, options, source)
+        chosen, fewer, choice = automatic(estimand, options, source, most_entries)
     else:
-        choice = f"{chosen.name}, as requested"
+        fewer, choice = most_entries, f"{chosen.name}, as requested"
     usual = isinstance(targets, RandomTargets) and targets == RandomTargets()
     given = {"density": density, "variant": variant, "targets": "uniform" if usual else targets, "center": center}
     given["most_entries"] = most_entries
@@ -208,7 +208,7 @@ def collision_probability(
         options,
         precision,
         to_spawner(rng),
-        most_entries,
+        fewer,
         "uniform" if density is None else density,
         variant,
         executor,
@@ -225,6 +225,7 @@ def collision_probability(
             f"{wanted:g}"
         )
     meta = {"confidence": precision.confidence, "interval": precision.interval, "n_positioners": len(plane)}
+    meta |= {} if precision.estimator == "mean" else {"estimator": precision.estimator}
     meta |= found.pop("meta")
     meta["choice"] = meta.get("certain") or choice
     if source is not None and (software := packages(options)):
@@ -243,7 +244,7 @@ def _warn_of_unused(method, options, precision, rng, given) -> None:
         names.append("allocator")
     changed = [one.name for one in fields(precision) if getattr(precision, one.name) != one.default]
     names += ["rng"] if is_seed_given(rng) else []
-    names += dict.fromkeys(one if one in ("interval", "stop") else "precision" for one in changed)
+    names += dict.fromkeys(one if one in ("interval", "stop", "estimator") else "precision" for one in changed)
     warn_of_unused(names, [method], METHODS.values(), "method")
     if "center" in names and "center" in (method.options or ()) and not isinstance(given["targets"], Catalog):
         warn_no_effect("center", "because targets is not a Catalog")

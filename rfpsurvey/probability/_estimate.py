@@ -27,8 +27,9 @@ class Estimate:
         Standard error of ``value``; NaN if there is no confidence interval.
     n : int
         Number of iterations (``monte_carlo``), of realizations (``conditional``), or of points per positioner in each
-        randomized repetition (``quadrature``). If allocations define the density for ``quadrature``, ``n`` is the
-        mean number of targets in the queues of an allocation. For formulas, and if no arms can touch, ``n`` is 0.
+        randomized repetition (``quadrature``), from which ``value`` was computed. If allocations define the density for
+        ``quadrature``, ``n`` is the mean number of targets in the queues of an allocation. For formulas, and if no arms
+        can touch, ``n`` is 0.
     n_effective : float
         Number of independent trials that would give the same standard error.
     pairs_per_positioner : float

@@ -36,21 +36,29 @@ def _naive(rates, p, number, trials, quantile, confidence, rng):
     return wilson(p, trials, float(ndtri((1 + confidence) / 2)))
 
 
+def _iterations(rates, p, number, trials, quantile, confidence, rng):
+    """Return Wilson's interval, treating every iteration as one trial, as in Chen et al. (2024)."""
+    return wilson(p, sum(map(len, rates)), float(ndtri((1 + confidence) / 2)))
+
+
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
-    """Return the bootstrap interval: percentiles of the means of samples drawn from ``rates`` with replacement."""
-    n = len(rates)
-    rows = max(1, 1_000_000 // n)  # draw this number of samples at a time, to limit the memory
-    sizes = [min(rows, n_samples - k) for k in range(0, n_samples, rows)]
-    means = np.concatenate([rates[rng.integers(0, n, (size, n))].mean(axis=1) for size in sizes])
+    """Return the bootstrap interval: percentiles of the means of samples drawn from the rates with replacement."""
+    means = np.zeros(n_samples)
+    for own in rates:
+        n = len(own)
+        rows = max(1, 1_000_000 // n)  # draw this number of samples at a time, to limit the memory
+        for k in range(0, n_samples, rows):
+            drawn = rng.integers(0, n, (min(rows, n_samples - k), n))
+            means[k : k + rows] += own[drawn].mean(axis=1) / len(rates)
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
 
 
-INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "bootstrap": _bootstrap}
+INTERVALS = {"wilson": _effective, "wilson_naive": _naive, "wilson_iterations": _iterations, "bootstrap": _bootstrap}
 """Functions that return the limits of a confidence interval, by the name of the interval.
 
-The arguments of each function are the collision rates of the realizations, the mean of these rates, the effective
-number of trials, the number of counted positioners in all realizations, the quantile, the confidence level, and a
-random number generator.
+The arguments of each function are the collision rates of the realizations (a list of one or two arrays, whose means
+have equal weights), the mean of these rates, the effective number of trials, the number of counted positioners in all
+realizations, the quantile, the confidence level, and a random number generator.
 """
 
 

@@ -12,6 +12,7 @@ from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 KINDS = ("uniform", "poisson", "poisson_disc")
 STOPS = ("interval", "convergence")
+ESTIMATORS = ("mean", "midpoint")
 MOST_TARGETS = 1_000_000
 STANDARD_ERROR = 1e-3
 MOST_ITERATIONS = 1_000_000
@@ -89,28 +90,35 @@ class Precision:
     Parameters
     ----------
     standard_error : float, optional
-        Standard error to reach. Iterations end when the confidence interval is no wider than the interval of a
-        normal distribution with this standard error. If collisions are rare, there is also a minimum number of
+        Standard error to reach. Iterations end when the confidence interval is predicted to be no wider than the
+        interval of a normal distribution with this standard error. The prediction uses other realizations or points
+        than the estimate, which is therefore unbiased. If collisions are rare, there is also a minimum number of
         iterations. The default is 0.001; if ``max_iterations`` is given, the default is None.
     max_iterations : int, optional
         Maximum number of iterations, realizations or points, depending on the method. If ``standard_error`` is None,
         exactly this number is used (``quadrature`` rounds it down to a power of two). Each method has its own default.
     confidence : float, optional
         Confidence level of the interval.
-    interval : {"wilson", "wilson_naive", "bootstrap"}, optional
+    interval : {"wilson", "wilson_naive", "wilson_iterations", "bootstrap"}, optional
         ``wilson``: Wilson's interval with the effective number of independent trials, which is estimated from the
         scatter between iterations. ``wilson_naive``: Wilson's interval with every positioner of every iteration as an
-        independent trial; it is too narrow for ``monte_carlo`` and too wide for ``conditional``. ``bootstrap``:
+        independent trial; it is too narrow for ``monte_carlo`` and too wide for ``conditional``.
+        ``wilson_iterations``: Wilson's interval with every iteration as one trial; it is too wide. ``bootstrap``:
         percentiles of the means of resampled iterations.
     stop : {"interval", "convergence"}, optional
         ``interval``: iterations end when the interval is narrow enough for ``standard_error``. ``convergence``:
         iterations end when the running mean changes by less than ``standard_error`` three times in a row. The rule
-        ``convergence`` does not limit the error; it is provided for comparison with ``interval``.
+        ``convergence`` does not limit the error, and its estimates are biased; it is provided for comparison with
+        ``interval``.
+    estimator : {"mean", "midpoint"}, optional
+        ``mean``: the estimate is the mean of the collision rates, which is unbiased. ``midpoint``: the estimate is the
+        midpoint of the confidence interval, which is too large for small probabilities. With the interval
+        ``wilson_iterations`` and ``max_iterations=6000``, this is the estimator of Chen et al. (2024).
 
     Raises
     ------
     InputError
-        If ``interval`` or ``stop`` is unknown, or if a number is out of range.
+        If ``interval``, ``stop`` or ``estimator`` is unknown, or if a number is out of range.
 
     See Also
     --------
@@ -130,6 +138,7 @@ class Precision:
     confidence: float = 0.95
     interval: str = "wilson"
     stop: str = "interval"
+    estimator: str = "mean"
 
     def __post_init__(self):
         error, most = self.standard_error, self.max_iterations
@@ -141,6 +150,7 @@ class Precision:
             raise refusal("confidence must be a number above 0 and below 1", self.confidence, Number)
         check_choice(self.interval, INTERVALS, "interval")
         check_choice(self.stop, STOPS, "stopping rule")
+        check_choice(self.estimator, ESTIMATORS, "estimator")
 
     def __repr__(self):
         return _short(self, *([] if self.standard_error is None else [repr(self.standard_error)]))

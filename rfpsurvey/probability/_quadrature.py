@@ -33,6 +33,8 @@ LEAST_POINTS, LEAST_WEIGHTED = 16, 256
 The weights are equal if the density is uniform and joint limits do not restrict the patrol areas. Different weights
 require more points, because the bias of a weighted mean does not average out.
 """
+FORESIGHT = 1.5
+"""Factor by which the predicted error is increased, because the error is estimated from few scramblings."""
 BITS = 30
 NARROW = 2**12
 """Minimum number of points from which the code concludes that the density is 0 in a patrol area.
@@ -172,6 +174,7 @@ def integrate(task: Quadrature, question: ProbabilityQuestion) -> dict:
     n_points = min(max(FIRST_POINTS >> int(np.log2(len(used)) / 2), least), precision.max_iterations)
     # fewer points are used for environments of few positioners, which contribute little to the error of the mean
     rare = (np.log2(share.max() / share) / 2).astype(int)
+    last = False
     with Progress(question.progress) as bar:
         while True:
             jobs = np.repeat(first[used], SCRAMBLES)
@@ -186,12 +189,15 @@ def integrate(task: Quadrature, question: ProbabilityQuestion) -> dict:
             trials = effective_number(p, error, SCRAMBLES * n_points)
             low, high = wilson(p, trials, quantile(precision.confidence, SCRAMBLES - 1))
             half = (high - low) / 2
-            met = precision.standard_error is not None and half <= precision.half_width
-            if met or 2 * n_points > precision.max_iterations:
+            met = precision.standard_error is not None and (last or half <= precision.half_width)
+            if last or 2 * n_points > precision.max_iterations:
                 break
-            # the error is approximately proportional to 1 / n_points
-            more = 4.0 if precision.half_width == 0 else half / precision.half_width
-            n_points = min(n_points * 2 ** min(max(int(np.ceil(np.log2(more))), 1), 3), precision.max_iterations)
+            # Earlier points determine the last number of points; if the last points did, the estimate would be biased.
+            # The error is approximately proportional to 1 / n_points.
+            more = 4.0 if precision.half_width == 0 else FORESIGHT * half / precision.half_width
+            last = precision.half_width > 0 and more <= 2
+            factor = int(np.clip(np.ceil(np.log2(max(more, 1.0))) - (not last), not last, 3))
+            n_points = min(n_points * 2**factor, precision.max_iterations)
         bar(1)
     per_positioner = np.full(len(first), np.nan)
     per_positioner[used] = probabilities.mean(axis=0)

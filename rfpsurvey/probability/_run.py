@@ -1,6 +1,7 @@
 """Repeat a simulation until the confidence interval is narrow enough."""
 
 from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -29,7 +30,7 @@ FLOOR = 4.0
 
 The minimum number is this factor, divided by the standard error to reach, and multiplied by the collision rate that one
 colliding pair causes. Without this minimum, simulations that by chance contain no collision would end too early, and
-the mean of many estimates would be too low.
+their errors would be larger than the requested error.
 """
 FORESIGHT = 1.05
 """Factor by which the predicted number of realizations is increased, so that this number is rarely too small."""
@@ -39,60 +40,95 @@ TOO_FEW = (
 """Message that states why an estimate has no interval."""
 
 
+@dataclass(eq=False)
+class _Half:
+    """Independent realizations, and the number of realizations for which they meet the stopping rule."""
+
+    rng: np.random.Generator
+    limit: int
+    goal: int
+    """Number of realizations that are simulated before the rule is applied again."""
+    parts: list[CollisionSums] = field(default_factory=list)
+    done: int = 0
+    enough: int | None = None
+    """Number of realizations at which the rule was met, or the limit was reached."""
+    met: bool = False
+
+
 def run(
     question: ProbabilityQuestion, task: Callable[[int, np.random.Generator], CollisionSums], chunk: int
-) -> tuple[CollisionSums, dict]:
+) -> tuple[list[CollisionSums], dict]:
     """Simulate realizations until the requested precision or the maximum number of realizations is reached.
 
-    The function returns the tally of all realizations and its summary. The number of tasks and the number of
+    There are two independent halves of realizations. The stopping rule is applied to each half, and the number of
+    realizations that it gives is used for the *other* half. The number of terms of the mean of a half therefore does
+    not depend on these terms. Hence each mean is unbiased, and so is the estimate, which is the mean of the two means.
+    Without a stopping rule, and with the rule ``convergence``, there is only one part, which contains all realizations.
+
+    The function returns the tally of each half, and the summary of both halves. The number of tasks and the number of
     realizations per task depend only on earlier results. Therefore, the number of workers does not change the result.
     """
-    precision, rng = question.precision, question.rng
-    given = question.targets is not None and question.targets.kind == "given"
-    parts: list[CollisionSums] = []
-    means, total, used, done = [], 0.0, 0, 0
+    most, precision = question.precision.max_iterations, question.precision
+    one_part = precision.standard_error is None or precision.stop == "convergence" or most == 1
+    limits = [most] if one_part else [most - most // 2, most // 2]
+    first = FIRST_TASKS * chunk // len(limits)
+    rngs = [question.rng] if one_part else question.rng.spawn(2)
+    halves = [_Half(rng, limit, min(first, limit)) for rng, limit in zip(rngs, limits, strict=True)]
     note = ""
-    goal = min(FIRST_TASKS * chunk, precision.max_iterations)
     with Progress(question.progress) as bar:
-        while True:
-            sizes = [min(chunk, goal - k) for k in range(done, goal, chunk)]
-            for part in map_in_order(question.executor, task, sizes, rng.spawn(len(sizes))):
-                parts.append(part)
-                rates = part.rates()
-                total, used, done = total + float(rates.sum()), used + len(rates), done + len(part.pairs)
-                means.append(total / used if used else np.nan)
-                bar(0.99 * done / goal, note=f"{number_of(done, 'realization')}{note}")
-            parts = [tally := merge(parts)]
-            if used == 0 and done < precision.max_iterations:  # no positioner has been counted yet
-                goal = min(GROWTH * done, precision.max_iterations)
-                continue
-            summary = summarize(tally, question.focal_plane, precision, rng, given=given)
-            wide = summary.pop("half_width")
-            note = "" if np.isnan(summary["standard_error"]) else f", standard error {summary['standard_error']:.2g}"
-            floor = _fewest(tally, precision)
-            met = precision.standard_error is not None and (
-                wide <= precision.half_width and done >= floor
-                if precision.stop == "interval"
-                else converged(means, precision.standard_error)
-            )
-            if met or done >= precision.max_iterations:
-                break
-            more = done + chunk
-            if precision.stop == "interval":
-                needed = done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
-                more = max(more, int(min(max(FORESIGHT * needed, floor), GROWTH * done)))
-            goal = min(-(-more // chunk) * chunk, precision.max_iterations)
+        while some := [half for half in halves if half.done < half.goal]:
+            jobs = [(half, min(chunk, half.goal - k)) for half in some for k in range(half.done, half.goal, chunk)]
+            owners, sizes = zip(*jobs, strict=True)
+            sources = [half.rng.spawn(1)[0] for half in owners]
+            for half, part in zip(owners, map_in_order(question.executor, task, sizes, sources), strict=True):
+                half.parts.append(part)
+                half.done += len(part.pairs)
+                done = sum(one.done for one in halves)
+                bar(0.99 * done / sum(one.goal for one in halves), note=f"{number_of(done, 'realization')}{note}")
+            for half in some:
+                half.parts = [merge(half.parts)]
+                if half.enough is None:
+                    error = _apply_rule(half, question, chunk, len(halves))
+                    note = "" if np.isnan(error) else f", standard error {error:.2g}"
+            if all(half.enough for half in halves):
+                for half in halves:
+                    half.goal = min(max(one.enough for one in halves), half.limit)
         bar(1)
-    return tally, {**summary, "met": met}
+    tallies = [half.parts[0].first(other.enough) for half, other in zip(halves, halves[::-1], strict=True)]
+    summary = _summary(tallies, question)
+    return tallies, {**summary, "met": all(half.met for half in halves)}
+
+
+def _apply_rule(half: _Half, question: ProbabilityQuestion, chunk: int, n_halves: int) -> float:
+    """Apply the stopping rule to a half, and return the standard error that the estimate would have.
+
+    The other half, if there is one, is assumed to have the same collision rates.
+    """
+    precision, tally = question.precision, half.parts[0]
+    wanted, error, more = precision.standard_error, np.nan, GROWTH * half.done
+    if len(tally.rates()):  # otherwise, no positioner has been counted yet
+        summary = _summary([tally] * n_halves, question)
+        wide, error = summary["half_width"], summary["standard_error"]
+        if precision.stop == "interval":
+            floor = _fewest(tally, precision) / n_halves
+            half.met = wanted is not None and wide <= precision.half_width and half.done >= floor
+            needed = half.done * (wide / precision.half_width) ** 2 if precision.half_width > 0 else np.inf
+            more = max(half.done + chunk, min(max(FORESIGHT * needed, floor), more))
+        else:
+            means = [tally.first(n).mean() for n in range(half.done, 0, -chunk)[:4]]
+            half.met, more = wanted is not None and converged(means[::-1], wanted), half.done + chunk
+    if half.met or half.done >= half.limit:
+        half.enough = half.done
+    half.goal = min(-(-int(more) // chunk) * chunk, half.limit)
+    return error
 
 
 def _fewest(tally, precision):
     """Return the minimum number of realizations, which is 0 unless collisions or their absence are rare.
 
     Collisions are rare if fewer than half of the realizations have a collision; their absence is rare if all
-    positioners collide in more than half of the realizations. The estimated error grows with the number of rare events.
-    A stopping rule based on this error therefore ends the simulation too early if, by chance, there are too few events.
-    A minimum number of realizations that does not depend on the number of events prevents this.
+    positioners collide in more than half of the realizations. The estimated error grows with the number of rare events,
+    and is too small if, by chance, there are too few events.
     """
     rates = tally.rates()
     if precision.standard_error is None or min((rates > 0).mean(), (rates < 1).mean()) >= 0.5:
@@ -100,24 +136,32 @@ def _fewest(tally, precision):
     return FLOOR / precision.standard_error * min(1.0, 2 / float(tally.colliding[:, 1].mean()))
 
 
-def summarize(
-    tally: CollisionSums, plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool
-) -> dict:
-    """Return the mean collision rate of a tally, its confidence interval and standard error, and a half width.
+def _summary(tallies, question):
+    given = question.targets is not None and question.targets.kind == "given"
+    return summarize(tallies, question.focal_plane, question.precision, question.rng, given=given)
 
+
+def summarize(
+    tallies: list[CollisionSums], plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool
+) -> dict:
+    """Return the mean collision rate of one or two tallies, its confidence interval, standard error and half width.
+
+    If there are two tallies, the mean rate is the mean of their mean rates, whatever their numbers of realizations.
     The half width determines when iterations end: it contains only the error that more iterations reduce. If the
     targets are given, or if all realizations have the same rate, the tally is treated as the result for one sky (one
     set of targets). The standard error then states how much the rate may differ from the mean over all skies with the
     same statistical properties. If the focal plane has too few positioners to estimate this error, there is no
     confidence interval, and ``no_interval`` states the reason.
     """
-    rates, normal = tally.rates(), quantile(precision.confidence, np.inf)
-    if len(rates) == 0:
+    parts, normal = [own for tally in tallies if len(own := tally.rates())], quantile(precision.confidence, np.inf)
+    if not parts:
         raise InputError(
             "at least one positioner must be counted, but no positioner reaches a target, and none is a parked obstacle"
         )
-    n, p = len(rates), min(float(rates.mean()), 1.0)
-    scatter = float(rates.std(ddof=1) / np.sqrt(n)) if n > 1 else 0.0
+    tally, rates = merge(tallies), np.concatenate(parts)
+    n, p = len(rates), min(float(np.mean([own.mean() for own in parts])), 1.0)
+    # the weight of a realization is 1 / len(parts) / len(own)
+    scatter = float(rates.std(ddof=1) * np.sqrt(sum(1 / len(own) for own in parts)) / len(parts)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
     student = quantile(precision.confidence, n - 1)
     one_sky = given or scatter == 0.0
@@ -127,7 +171,7 @@ def summarize(
     number, low, high = effective_number(p, error, number), np.nan, np.nan
     if not np.isnan(error):
         low, high = INTERVALS["wilson" if one_sky else precision.interval](
-            rates, p, number, tally.trials, width, precision.confidence, rng
+            parts, p, number, tally.trials, width, precision.confidence, rng
         )
     # the error that more iterations reduce; it may differ from the error that is reported
     reducible = scatter if given or np.isnan(error) else error
@@ -136,7 +180,7 @@ def summarize(
         half = max(half, float(np.ptp(wilson(0.0, n, normal))) / 2)
     reason = {"no_interval": TOO_FEW} if np.isnan(low) else {}
     return {
-        "value": p,
+        "value": (low + high) / 2 if precision.estimator == "midpoint" and not np.isnan(low) else p,
         "low": low,
         "high": high,
         "standard_error": error,

@@ -36,6 +36,18 @@ class CollisionSums:
         """
         return self._ratio(self.colliding[:, column], self.colliding[:, column + 1])
 
+    def mean(self, column: int = 0) -> float:
+        """Return the mean of `rates`; NaN if no realization has counted (or assigned) positioners."""
+        rates = self.rates(column)
+        return float(rates.mean()) if len(rates) else np.nan
+
+    def first(self, n: int) -> "CollisionSums":
+        """Return a copy whose rates are those of the first ``n`` realizations.
+
+        The numbers of each positioner remain those of all realizations.
+        """
+        return replace(self, colliding=self.colliding[:n], pairs=self.pairs[:n])
+
     @property
     def pair_rates(self) -> np.ndarray:
         """Number of colliding pairs divided by the number of counted positioners, for each realization."""
@@ -44,7 +56,7 @@ class CollisionSums:
     @property
     def trials(self) -> int:
         """Number of counted positioners, summed over all realizations."""
-        return int(self.counted.sum())
+        return int(self.colliding[:, 1].sum())
 
     @property
     def per_positioner(self) -> np.ndarray:

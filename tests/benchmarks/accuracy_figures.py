@@ -66,7 +66,7 @@ if __name__ == "__main__":
         row = rs.benchmark.benchmark_collisions(
             plane, methods=["endpoints"], n_configurations=20, repeats=1, seconds=0
         )[0]
-        print(f"{name}: colliding pairs that four ends miss {row['n_missed'] / row['n_colliding']:.4f}")
+        print(f"{name}: colliding pairs that four ends miss {row['n_missed'] / row['n_colliding_true']:.4f}")
         tip, elbow = moved_by_single_precision(plane, rng)
         print(f"{name}: single precision moves tips by {tip:.1e} mm, elbows at full stretch by {elbow:.1e} mm")
     print(f"naive crossings of collinear segments: {naive_crossings(rng, 1_000_000):.1e}")

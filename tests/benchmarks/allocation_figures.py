@@ -58,8 +58,8 @@ def hexagons():
         for seed in range(5):
             xy = disc(0.95 * (rings + 0.5) * pitch, n, seed)
             options = {"parked_obstacles": False}
-            seconds, best = median(rs.allocate, xy, plane, method="optimal", repeats=5, **options)
-            mend_s, repaired = median(rs.allocate, xy, plane, method="repair", repeats=5, **options)
+            seconds, best = median(flat.allocate, plane, xy, allocator="optimal", repeats=5, **options)
+            mend_s, repaired = median(flat.allocate, plane, xy, allocator="repair", repeats=5, **options)
             blind = int((maximum_bipartite_matching(plane.reachable(xy), perm_type="column") >= 0).sum())
             rule = flat.allocate(plane, xy, allocator="lamost_rule", **options)
             usable = rule.n_assigned - int(rs.find_collisions(plane, rule).in_collision.sum())
@@ -89,20 +89,20 @@ def rules():
     xy = disc(873.0, 100_000, 1)
     kind = np.where(np.arange(100_000) % 50 == 0, "standard", "science")
     for name in ("balanced", "nearest", "lamost_rule"):
-        seconds, _ = median(rs.allocate, xy, plane, method=name)
+        seconds, _ = median(flat.allocate, plane, xy, allocator=name)
         print(f"  {name:<10} {1e3 * seconds:.1f} ms")
     options = {"kind": kind, "requirements": SKY, "sky_separation": 1 * u.mm}
-    seconds, found = median(rs.allocate, xy, plane, method="lamost_rule", **options)
+    seconds, found = median(flat.allocate, plane, xy, allocator="lamost_rule", **options)
     print(f"  lamost with sky and standards {1e3 * seconds:.1f} ms, {len(found.unmet)} requirements not met")
     for name in ("network_flow", "optimal"):
-        seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3)
+        seconds, found = median(flat.allocate, plane, xy, allocator=name, repeats=3)
         print(f"  {name:<10} {seconds:.3f} s, {found.n_assigned} positioners, gap {found.gap:g}")
-        seconds, found = median(rs.allocate, xy, plane, method=name, repeats=3, **options)
+        seconds, found = median(flat.allocate, plane, xy, allocator=name, repeats=3, **options)
         print(f"  {name:<10} {seconds:.3f} s with sky and standards, gap {found.gap:g}")
     for n in (50_000, 100_000):
         robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5391 * u.mm)
         plane = rs.FocalPlane.hexagonal(robot, rings=36, pitch=22.4 * u.mm)
-        seconds, found = median(rs.allocate, disc(776.0, n, 0), plane, method="optimal", repeats=1)
+        seconds, found = median(flat.allocate, plane, disc(776.0, n, 0), allocator="optimal", repeats=1)
         print(f"  optimal, {n} targets over 3997 SDSS-V arms {seconds:.1f} s, gap {found.gap:g}")
 
 

@@ -5,20 +5,24 @@ tenth of this time.
 """
 
 import argparse
+import sys
 import warnings
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
+from pathlib import Path
 from time import perf_counter
 from unittest import mock
 
 import astropy.units as u
 import numpy as np
 
-import flat
 import rfpsurvey as rs
 from rfpsurvey.design import _losses
 from rfpsurvey.design._lattice import make_lattice
 from rfpsurvey.probability._surrogate import AXES, interior_probability
+
+sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+import flat
 
 MM = u.mm
 BOX = {"central_arm": [7.25, 14.5] * MM, "ratio": [1, 2], "pitch": [24.6, 35] * MM, "clearance": 2.25 * MM}

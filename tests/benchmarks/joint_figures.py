@@ -149,7 +149,7 @@ def scan(options, executor):
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("cases", nargs="*", choices=[*CASES, "scan"], default=[*CASES, "scan"])
+    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join([*CASES, "scan"]))
     parser.add_argument("--seconds", type=float, default=1800.0)
     parser.add_argument("--calibration", action="store_true", help="with sky fibers, standards and requirements")
     parser.add_argument("--early", action="store_true", help="move visits to earlier passes")
@@ -160,7 +160,7 @@ def main():
     options = parser.parse_args()
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
     with ThreadPoolExecutor(2) as executor:
-        for name in options.cases:
+        for name in options.cases or [*CASES, "scan"]:
             if name in CASES:
                 compare(name, options, executor)
             else:

@@ -6,10 +6,12 @@ that table.
 """
 
 import sys
+from pathlib import Path
 
 import numpy as np
 from astropy.table import QTable
 
+sys.path.insert(0, str(Path(__file__).parents[2] / "docs"))
 from reproduction._designs import Settings
 from reproduction._poisson import PLACES, _of_reading, poisson
 

@@ -109,7 +109,7 @@ class Disk(threading.Thread):
 def in_batch(targets, tiling, options, folder):
     """Compute selection probabilities; return the result, the time and the times of the stages."""
     clock = Clock()
-    clock.wrap(_work, "find_reach", "projection and reach (workers)")
+    clock.wrap(_work, "reach_of", "projection and reach (workers)")
     for name in list(_work.RULES):
         rule = _work.RULES[name]
         _work.RULES[name] = _timed(clock, rule, "rule (workers)")

@@ -213,13 +213,13 @@ PARTS = {f.__name__: f for f in (tile, growth, surface, arms, gaps, classes, bro
 
 def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", choices=[*PARTS, []], default=[name for name in PARTS if name != "survey"])
+    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
     parser.add_argument("--targets", type=float, default=40e6)
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--folder", help="folder for temporary files")
     options = parser.parse_args()
     print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
-    for name in options.parts:
+    for name in options.parts or [name for name in PARTS if name != "survey"]:
         PARTS[name](options)
 
 

@@ -384,3 +384,32 @@ def test_the_sentence_states_the_drift_only_for_exposures(presets):
         )
         assert ("during the exposure" in str(result)) == stated
         assert (result.drift > 0 * u.mm) == stated
+
+
+def test_the_sentence_names_effects_that_are_not_included(presets):
+    """Regression: the sentence stated that refraction is within the tolerance although dispersion was not computed,
+    and although an hour angle leaves out aberration.
+    """
+    waves = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
+    dated = {"hour_angle": None, "time": "2026-01-15T06:30:00"}
+    dispersion = "dispersion (all fibers and the guide camera are assumed to observe at 0.54 um)"
+    aberration = "differential aberration (the conditions have an hour angle instead of a time)"
+    for changes, effects in (
+        ({}, [dispersion, aberration]),
+        (dated, [dispersion]),
+        ({"wavelength": waves}, [aberration]),
+        ({"wavelength": 0.54 * u.um, "guide_wavelength": 0.62 * u.um}, [aberration]),
+        ({"wavelength": {"BOSS": 540 * u.nm, "APOGEE": 0.54 * u.um}}, [dispersion, aberration]),
+        ({"wavelength": waves, **dated}, []),
+    ):
+        given = {"hour_angle": 2 * u.hourangle, **changes}
+        conditions = rs.ObservingConditions("apache point", **{k: v for k, v in given.items() if v is not None})
+        result = rs.instrument.compare_projections(presets["sdss_apo"], CENTER, conditions)
+        assert result.record["not_included"] == effects
+        tail = f"; not included, and possibly larger than the tolerance: {', '.join(effects)}" if effects else ""
+        assert str(result).endswith(f" is {result.sufficient}{tail}")
+        assert ("dispersion move" in str(result)) == (dispersion not in effects)
+        hours = rs.instrument.compare_projections(
+            presets["sdss_apo"], CENTER, conditions, hour_angles=[1] * u.hourangle
+        )
+        assert aberration in hours.not_included

@@ -9,6 +9,7 @@ from scipy import stats
 
 import flat
 import rfpsurvey as rs
+from rfpsurvey.probability import Precision
 from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from scenes import MM, both_hands, lamost_like, sdss_like
 
@@ -64,7 +65,7 @@ def test_a_bootstrap_in_pieces_is_one_in_a_piece():
     """If there are many rates, resampling is done in several parts to limit the memory."""
     rates, n = np.random.default_rng(1).random(1000), 1500
     drawn = rates[np.random.default_rng(2).integers(0, len(rates), (n, len(rates)))].mean(axis=1)
-    found = INTERVALS["bootstrap"](rates, rates.mean(), 1000.0, 1000, 2.0, 0.9, np.random.default_rng(2), n_samples=n)
+    found = INTERVALS["bootstrap"]([rates], rates.mean(), 1000.0, 1000, 2.0, 0.9, np.random.default_rng(2), n_samples=n)
     assert found == pytest.approx(np.quantile(drawn, [0.05, 0.95]).tolist(), abs=1e-12)
 
 
@@ -130,6 +131,21 @@ def test_every_positioner_as_a_trial_of_its_own_is_naive():
     # collisions occur in pairs; if pairs are independent, the variance is at least twice as large
     assert (honest.high - honest.low) > 1.2 * (naive.high - naive.low)
     assert honest.meta["design_effect"] > 1.4
+
+
+def test_the_midpoint_with_iterations_as_trials_is_the_estimator_of_the_paper():
+    plane, options = lamost_like(1), {"method": "monte_carlo", "n_targets": 12, "max_iterations": 300}
+    mean = flat.collision_probability(plane, **options)
+    paper = flat.collision_probability(plane, interval="wilson_iterations", estimator="midpoint", **options)
+    z = stats.norm.ppf(0.975)
+    assert paper.value == pytest.approx((mean.value + z**2 / 600) / (1 + z**2 / 300), abs=1e-12)
+    assert paper.value == pytest.approx((paper.low + paper.high) / 2)
+    assert paper.standard_error == mean.standard_error
+    assert (paper.meta["estimator"], "estimator" in mean.meta) == ("midpoint", False)
+    with pytest.warns(rs.RfpsurveyWarning, match="estimator"):
+        flat.collision_probability(plane, method="quadrature", estimator="midpoint", max_iterations=64)
+    with pytest.raises(rs.InputError, match="unknown estimator"):
+        Precision(estimator="median")
 
 
 @pytest.mark.few(1)

@@ -284,7 +284,12 @@ def test_an_empty_catalog_has_no_mean_direction():
     ("options", "expected"),
     [
         ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
-        ({"targets": "uniform", "n_targets": 8}, "monte_carlo, since there are fewer than 2 targets per positioner"),
+        ({"targets": "uniform", "n_targets": 16}, "monte_carlo, since there are fewer than 2.5 targets per"),
+        (
+            {"targets": "uniform", "n_targets": 200},
+            "conditional, the cheapest method with an error estimate if positioners have queues of targets, with at "
+            "most 24 targets of each queue",
+        ),
         (
             {"targets": "uniform", "n_targets": 100, "allocator": "lamost_rule"},
             "monte_carlo, since this allocator makes no",
@@ -295,7 +300,6 @@ def test_an_empty_catalog_has_no_mean_direction():
 )
 def test_an_estimate_says_why_its_method_was_used(options, expected):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), rings=1, pitch=25.6 * u.mm)
-    options = {"method": "auto", **options}
     estimate = flat.collision_probability(plane, precision=0.2, rng=1, **options)
     assert estimate.meta["choice"].startswith(expected)
     far = rs.FocalPlane.hexagonal(rs.Positioner(4 * u.mm, 4 * u.mm, 1 * u.mm), rings=1, pitch=30 * u.mm)
@@ -329,3 +333,19 @@ def test_options_of_targets_other_than_science_are_refused(options):
 def test_the_separation_of_random_targets_is_a_length():
     with pytest.raises(rs.InputError, match="min_separation must have a unit convertible to mm, got arcsec"):
         RandomTargets("poisson_disc", min_separation=1 * u.arcsec)
+
+
+def test_auto_is_the_default_and_limits_the_targets_of_a_queue():
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), rings=1, pitch=25.6 * u.mm)
+    options = {"n_targets": 400, "max_iterations": 20, "rng": 1}
+    default = flat.collision_probability(plane, **options)
+    assert default.value == flat.collision_probability(plane, method="auto", **options).value
+    assert default.value == flat.collision_probability(plane, method="conditional", most_entries=24, **options).value
+    assert default.value != flat.collision_probability(plane, method="conditional", **options).value
+    more = flat.collision_probability(plane, most_entries=1000, **options)
+    assert more.value == flat.collision_probability(plane, method="conditional", **options).value
+    one_each = flat.collision_probability(plane, n_targets=10, max_iterations=20, most_entries=5)
+    assert one_each.method == "conditional"
+    sky = np.random.default_rng(1).uniform(-40, 40, (400, 2)) * u.mm
+    exact = flat.collision_probability(plane, method="conditional", targets=sky)
+    assert flat.collision_probability(plane, targets=sky).value == exact.value  # given targets need one realization

@@ -122,7 +122,7 @@ def test_adjacent_colors_can_be_told_apart(visit, write_view, survey, tmp_path, 
     colors = [[int(v) for v in page.evaluate(f"{VIEW}.binColor({k})")[4:-1].split()] for k in range(8)]
     values = lab(np.array(colors) / 255)
     assert np.linalg.norm(np.diff(values, axis=0), axis=1).min() > 15
-    assert (np.diff(values[:, 0]) * (1 if scheme == "dark" else -1) > 3).all()
+    assert (np.diff(values[:, 0]) > 3).all()  # on paper, large values are light, too
 
 
 def lab(rgb):

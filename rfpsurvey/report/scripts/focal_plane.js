@@ -131,8 +131,9 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const { plan, compared } = this;
     const entries = compared ? Object.entries(CHANGES).map(([kind, [, color]]) => [this.changeName(kind), color, "dot"]) :
       Object.entries(STATES).filter(([state]) => plan.state.includes(state)).map(([, [name, color, shape]]) => [name, color, shape ?? "dot"]);
+    if (this.data.obstacles.length + this.data.polygons.length) entries.push(["fiducial or other obstacle", "c-obstacle", "pale dot"]);
     if (compared) {
-      entries.push([`arm in the plan ${plan.name} (enlarged plot)`, "ink", "line"], [`arm in the plan ${compared.name}, if different`, "ink", "dashed"],
+      entries.push(["no target", "ink", "ring"], [`arm in the plan ${plan.name} (enlarged plot)`, "ink", "line"], [`arm in the plan ${compared.name}, if different`, "ink", "dashed"],
         [`in collision in the plan ${plan.name}`, "c-collision", "diamond"], [`in collision in the plan ${compared.name}`, "c-collision", "open diamond"]);
     }
     fillLegend(this.legend, entries.map(([name, color, shape]) => [name, `var(--${color})`, shape]));

@@ -2,8 +2,8 @@
 
 const STATES = {
   science: ["science target", "c-arm"], standard: ["standard star", "c-star"], sky: ["blank sky", "c-sky"],
-  collision: ["in collision", "c-collision", "diamond"], struck: ["in collision, not counted (disabled, stuck or at a recorded pose)", "c-obstacle", "diamond"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle"],
-  unusable: ["disabled or stuck", "c-obstacle"],
+  collision: ["in collision", "c-collision", "diamond"], struck: ["in collision, not counted (disabled, stuck or at a recorded pose)", "c-obstacle", "diamond"], reach: ["target out of reach", "c-other"], idle: ["no target", "c-idle", "ring"],
+  unusable: ["disabled or stuck", "c-obstacle", "ring"],
 };
 const CHANGES = { same: ["same target", "c-idle"], other: ["different target", "c-star"], first: ["", "c-arm"], second: ["", "c-other"] };
 const ARMS_FROM = 9; // pixels: arms are drawn if the radius of a patrol area is larger
@@ -11,6 +11,12 @@ const ARMS_FROM = 9; // pixels: arms are drawn if the radius of a patrol area is
 class FocalPlaneDrawing {
   colorName(k) {
     return this.compared ? CHANGES[this.change(k)][1] : STATES[this.plan.state[k]][1];
+  }
+
+  // The symbol of a positioner, in the drawing and in the legend: a diamond, a ring without a target, or a dot.
+  symbol(k, plan) {
+    if (!this.compared) return STATES[plan.state[k]][2] ?? "dot";
+    return plan.target_id[k] ? "dot" : "ring";
   }
 
   paint(context, stage) {
@@ -65,13 +71,8 @@ class FocalPlaneDrawing {
 
   paintDots(context, stage, rows) {
     const size = Math.max(1.6, Math.min(3.5, this.outer[0] * stage.scale * 0.5));
-    context.beginPath();
-    for (const k of rows) {
-      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
-      if (!this.compared && this.plan.colliding_with[k]) diamond(context, px, py, 2 * size);
-      else context.rect(px - size, py - size, 2 * size, 2 * size);
-    }
-    context.fill();
+    context.lineWidth = 1;
+    this.paintSymbols(context, stage, rows, this.plan, (k) => [this.x[k], this.y[k]], size);
   }
 
   paintPatrol(context, stage, rows) {
@@ -114,18 +115,22 @@ class FocalPlaneDrawing {
     context.globalAlpha = 1;
     context.lineWidth = Math.max(1, Math.min(0.3 * stage.scale, 2.5));
     path((k) => [[this.x[k], this.y[k]], elbow(k), tip(k)]);
-    this.paintTips(context, stage, rows.filter((k) => plan.target_id[k]), tip);
-    context.fill();
-    this.paintTips(context, stage, rows.filter((k) => !plan.target_id[k]), (k) => [this.x[k], this.y[k]]);
-    context.stroke(); // circles are positioners without a target
+    this.paintSymbols(context, stage, rows, plan, (k) => (plan.target_id[k] ? tip(k) : [this.x[k], this.y[k]]), 3);
   }
 
-  paintTips(context, stage, rows, place) {
-    context.beginPath();
-    for (const k of rows) {
-      const [px, py] = stage.toScreen(...place(k));
-      context.moveTo(px + 3, py);
-      context.arc(px, py, 3, 0, 2 * Math.PI);
+  paintSymbols(context, stage, rows, plan, place, size) {
+    for (const symbol of ["dot", "diamond", "ring"]) {
+      context.beginPath();
+      for (const k of rows) {
+        if (this.symbol(k, plan) !== symbol) continue;
+        const [px, py] = stage.toScreen(...place(k));
+        if (symbol === "diamond") diamond(context, px, py, 2 * size);
+        else {
+          context.moveTo(px + size, py);
+          context.arc(px, py, size, 0, 2 * Math.PI);
+        }
+      }
+      if (symbol === "ring") context.stroke(); else context.fill();
     }
   }
 

@@ -39,6 +39,12 @@ except ImportError as error:
 VERSION = version("ets_fiber_assigner")
 CALIBRATION = 1e6
 """Cost of a calibration target that is missing."""
+MOST_CLASSES, MOST_CLASSES_RULES = 5, 3
+"""Maximum numbers of priority classes without and with calibration targets.
+
+With more classes, targets of the highest class cost more than an observation that is not complete (1e9), or than a
+calibration target that is missing.
+"""
 
 
 class Pfi:
@@ -98,6 +104,8 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
         raise NotImplementedError("numbers of targets per spectrograph or category are not translated")
     kinds, priority = np.asarray(t["kind"], dtype=str), np.asarray(t["priority"], dtype=float)
     classes = sorted(set(priority[kinds == "science"]))
+    if len(classes) > (MOST_CLASSES_RULES if s["requirements"] else MOST_CLASSES):
+        raise NotImplementedError(f"costs of {len(classes)} classes would exceed the costs of rules")
     costs = {f"{k}_P{k}": 10.0 * 100.0**k for k in range(len(classes))}  # netflow uses two characters in names
     costs = {
         name: {"nonObservationCost": c, "partialObservationCost": 1e9, "calib": False} for name, c in costs.items()
