@@ -113,7 +113,8 @@ def read_catalog(keys):
     if keys.path.is_dir():
         for name in ("hdu", "epoch", "select"):
             if getattr(keys, name) is not None:
-                raise rs.InputError(f"{name} must be used only with files, got the folder {keys.path}")
+                kind = "FITS files" if name == "hdu" else "files"
+                raise rs.InputError(f"{name} must be used only with {kind}, got the folder {keys.path}")
         parts = rs.catalog.PartitionedCatalog(keys.path, **options)
         for name in ("collection", "columns"):
             if name in parts.meta:
