@@ -99,7 +99,7 @@ def _pfs(lower: dict) -> SurveyFormat | None:
     lower = {name if name == "ob_code" else name.removeprefix("ob_"): column for name, column in lower.items()}
     if not lower.keys() >= {"ob_code", "priority", "exptime"} or lower.keys() & {"id", "target_id"}:
         return None
-    marks = tuple(lower[name] for name in ("ob_code", "single_exptime", "resolution") if name in lower)
+    marks = tuple(lower[name] for name in ("ob_code", "exptime", "single_exptime", "resolution") if name in lower)
     columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
     columns |= {role: lower[role] for role in ("ra", "dec") if role in lower}
     columns |= {} if lower.keys() & {"obj_id", "objid"} else {"id": lower["ob_code"]}

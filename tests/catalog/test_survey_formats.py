@@ -294,29 +294,6 @@ def test_real_candidates_of_sdssv_have_small_priorities_first(real_data):
         assert (rs.Catalog.from_table(table).priority == -table["priority"]).all()
 
 
-@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS])])
-def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    pa = pytest.importorskip("pyarrow")
-    folder = tmp_path / "dataset" / "Norder=0" / "Dir=0"
-    folder.mkdir(parents=True)
-    whole = rs.Catalog.from_table(table, keep=[])
-    pixel = rs.catalog.partition_catalog(whole, tmp_path / "own", order=0).parts.files[0][1]
-    columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
-    parquet.write_table(pa.table(columns), folder / f"Npix={pixel}.parquet")
-    parts = rs.catalog.PartitionedCatalog(tmp_path / "dataset")
-    for catalog in (parts.read(), parts.parts.part(0)):
-        for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
-            assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name
-    assert parts.meta["columns"] == parts.read().meta["columns"] == whole.meta["columns"]
-
-
-def test_joined_files_of_desi_are_read():
-    targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
-    sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
-    assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
-
-
 def pfs(n=4, **columns):
     """Return a target list of PFS, as the target uploader defines it."""
     table = Table({"ob_code": [f"ob{k}" for k in range(n)], "obj_id": 4000 + np.arange(n)})
@@ -325,6 +302,39 @@ def pfs(n=4, **columns):
     for name, values in {**rest, **columns}.items():
         table[name] = values
     return table
+
+
+PFS_LISTS = pfs(), pfs(visits=[3, 2, 1, 1], single_exptime=[900.0] * 4)
+
+
+def partitions_of(tables, folder):
+    """Return a catalog with one partition for each table, at the pixels of their first rows."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pa = pytest.importorskip("pyarrow")
+    (folder / "dataset" / "Norder=0" / "Dir=0").mkdir(parents=True)
+    for k, table in enumerate(tables):
+        first = rs.Catalog.from_table(table)[:1]
+        pixel = rs.catalog.partition_catalog(first, folder / f"own_{k}", order=0).parts.files[0][1]
+        columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
+        parquet.write_table(pa.table(columns), folder / f"dataset/Norder=0/Dir=0/Npix={pixel}.parquet")
+    return rs.catalog.PartitionedCatalog(folder / "dataset")
+
+
+@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS])
+def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
+    whole = rs.Catalog.from_table(table, keep=[])
+    parts = partitions_of([table], tmp_path)
+    for catalog in (parts.read(), parts.parts.part(0)):
+        for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
+            assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name
+    stated = whole.meta["columns"].replace(" (divided by 900.0 s, rounded up)", "")
+    assert parts.meta["columns"] == parts.read().meta["columns"] == stated
+
+
+def test_joined_files_of_desi_are_read():
+    targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
+    sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
+    assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
 
 
 def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times():
