@@ -331,6 +331,15 @@ def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
     assert parts.meta["columns"] == parts.read().meta["columns"] == stated
 
 
+def test_partitions_of_pfs_must_have_one_resolution(tmp_path):
+    """The resolution was checked in each partition, so that surveys had targets of both resolutions."""
+    lists = pfs(resolution=["L"] * 4), pfs(resolution=["M"] * 4, ra=[10.0, 10.1, 10.2, 10.3], obj_id=[1, 2, 3, 4])
+    parts = partitions_of(lists, tmp_path)
+    tiling = rs.Tiling.from_table(QTable({"ra": [10.1, 150.0] * u.deg, "dec": [2.0, 2.0] * u.deg}))
+    with pytest.raises(InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"):
+        rs.plan_survey(parts, "pfs", tiling, allocator="nearest")
+
+
 def test_joined_files_of_desi_are_read():
     targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
     sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
