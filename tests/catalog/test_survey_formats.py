@@ -105,6 +105,15 @@ def test_only_the_last_entry_of_each_target_in_a_ledger_is_read(tmp_path):
     assert len(rs.Catalog.from_table(targets)) == 8  # target files have one row for each target
 
 
+def test_rows_are_selected_among_the_last_entries_of_a_ledger():
+    """Rows were selected first, so that superseded entries of finished targets were planned."""
+    table = vstack([ledger(), ledger()[[3]]])
+    table["NUMOBS_MORE"][-1], table["PRIORITY"][-1] = 0, 2
+    with pytest.warns(RfpsurveyWarning, match="1 of 7 rows of the DESI ledger are earlier entries"):
+        catalog = rs.Catalog.from_table(table, select={"NUMOBS_MORE": 1})
+    assert catalog.id.tolist() == [FIRST_ID + 4, FIRST_ID + 5]
+
+
 @pytest.mark.parametrize("name", ["NUMOBS_INIT", "NUMOBS_MORE"])
 def test_numbers_of_visits_that_desi_has_not_set_are_counted(name):
     """NUMOBS_INIT = -1 was refused in tables without DESI_TARGET, and was not reported in other tables."""
