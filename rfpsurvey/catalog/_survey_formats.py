@@ -101,7 +101,8 @@ def _pfs(lower: dict) -> SurveyFormat | None:
         return None
     marks = tuple(lower[name] for name in ("ob_code", "exptime", "single_exptime", "resolution") if name in lower)
     columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
-    columns |= {role: lower[role] for role in ("ra", "dec") if role in lower}
+    own = {"ra": "ra", "dec": "dec", "pmra": "pmra", "pmdec": "pmdec", "epoch": "epoch", "id": "obj_id"}
+    columns |= {role: lower[name] for role, name in own.items() if lower.get(name, "").lower().startswith("ob_")}
     columns |= {} if lower.keys() & {"obj_id", "objid"} else {"id": lower["ob_code"]}
     times = not lower.keys() & {"visits", "n_visits", "nvisits"}  # added by the user
     if not times:

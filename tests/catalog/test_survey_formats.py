@@ -388,6 +388,18 @@ def test_lists_of_the_pointing_planner_of_pfs_are_recognized():
         rs.Catalog.from_table(table)
 
 
+def test_all_columns_of_pfs_with_a_prefix_are_read():
+    """The identifiers, proper motions and epochs were not used."""
+    table = pfs(pmra=[1.0, 2.0, 3.0, 4.0], pmdec=[5.0, 6.0, 7.0, 8.0], epoch=["J2015.5"] * 4)
+    plain = rs.Catalog.from_table(table)
+    table.rename_columns(table.colnames[1:], [f"ob_{name}" for name in table.colnames[1:]])
+    catalog = rs.Catalog.from_table(table)
+    assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
+    assert (catalog.coord.pm_ra_cosdec == plain.coord.pm_ra_cosdec).all()
+    assert (catalog.coord.pm_dec == plain.coord.pm_dec).all()
+    assert catalog.epoch.jyear == plain.epoch.jyear == 2015.5
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     rng = np.random.default_rng(seed)
