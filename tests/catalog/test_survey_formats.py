@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable, Table, vstack
+from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
 from numpy.testing import assert_allclose
 
@@ -400,6 +400,14 @@ def test_all_columns_of_pfs_with_a_prefix_are_read():
     assert catalog.epoch.jyear == plain.epoch.jyear == 2015.5
 
 
+def test_rounding_adds_no_visits_and_missing_times_of_exposures_are_900_s():
+    """1.1 h over 0.1 h gave 12 visits, and a list with a missing time of one exposure was refused."""
+    table = QTable(pfs(exptime=[1.1, 0.7, 0.3, 2.2] * u.h, single_exptime=[0.1] * 4 * u.h))
+    assert rs.Catalog.from_table(table).visits.tolist() == [11, 7, 3, 22]
+    table = pfs(exptime=[1800.0] * 4, single_exptime=MaskedColumn([900.0, 450, 600, 100], mask=[0, 1, 0, 0]))
+    assert rs.Catalog.from_table(table).visits.tolist() == [2, 2, 3, 18]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     rng = np.random.default_rng(seed)
@@ -417,7 +425,7 @@ def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
             "column 'exptime' must hold positive exposure times, got other values in 1 of",
         ),
         ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
-        ({"single_exptime": [900, np.nan, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
+        ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
         ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
         ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
     ],
