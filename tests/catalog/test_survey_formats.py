@@ -488,3 +488,12 @@ def test_pointings_of_pfs_are_tiles():
     assert_allclose(tiling.table["position_angle"].to_value(u.deg), [-89.898, 90 - 89.898])
     assert_allclose(plain.table["position_angle"].to_value(u.deg), -89.898)
     assert tiling.table.meta["selected"] == "ppc_resolution=L (2 of 3 rows)"
+    own = Table(table)
+    own.rename_columns(["ppc_ra", "ppc_dec"], ["ra", "dec"])  # the angle and the resolutions were not recognized
+    table["ra"] = table["ppc_ra"]
+    for given, columns in ((own, {}), (table, {"ra": "ra"})):
+        with pytest.raises(InputError, match=r"got L \(2\), M \(1\)"):
+            rs.Tiling.from_table(given, columns)
+        again = rs.Tiling.from_table(given, columns, select={"ppc_resolution": "L"})
+        assert_allclose(again.table["position_angle"], tiling.table["position_angle"])
+        assert_allclose(rs.Tiling.from_table(again.table).table["position_angle"], tiling.table["position_angle"])
