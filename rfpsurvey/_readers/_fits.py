@@ -29,7 +29,8 @@ def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "", *, pad
 
     Text is returned as bytes. By default, a warning is issued if the file contains several tables and was not written
     by rfpsurvey. The warning ends with ``remedy``, which describes how to read another table. If the size of the file
-    is not a multiple of 2880 bytes, an error is raised if ``padded`` is true; otherwise, a warning is issued.
+    is not a multiple of 2880 bytes, an error is raised if ``padded`` is true or the file has surplus bytes; otherwise,
+    a warning is issued.
     """
     with open_content(path) as file, _open_units(file, path, padded=padded) as (units, found):
         table = _table_of(units[next(iter(found)) if hdu is None else _choose(found, hdu, path)], path)
@@ -166,6 +167,11 @@ def _find_tables(file: BinaryIO, path: object) -> dict[int, str]:
             break
     else:
         raise InputError(f"{path}: the file must have at most {MOST_UNITS} header and data units, got more")
+    if size > place and size % BLOCK:
+        raise InputError(
+            f"{path}: the file must have {place} bytes, as its headers state, got {size}, which is not a multiple of "
+            f"{BLOCK}: bytes were inserted; copy the file again"
+        )
     if not tables:
         raise InputError(
             f"{path}: the file must contain a table, got {number + (cards is not None)} header-data units "

@@ -7,13 +7,14 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from astropy.table import Table
+from astropy.table import Table, vstack
 
 from rfpsurvey import _healpix
 from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, reading
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._digest import add_stored_columns
+from rfpsurvey.catalog._survey_formats import check_mode
 from rfpsurvey.catalog._tables import EQUATORIAL, read_columns
 from rfpsurvey.errors import InputError, listed
 
@@ -154,7 +155,9 @@ class Partitions:
         If the catalog has no column of identifiers, the identifiers are the row numbers in the whole catalog.
         """
         path = self.files[k][2]
-        catalog = self.to_catalog(self.table(k, self.names), path)
+        table = self.table(k, self.names)
+        catalog = self.to_catalog(table, path)
+        self._check_mode(k, table)
         n = int(self.rows[k + 1] - self.rows[k])
         if "ledger" in catalog.meta:
             raise InputError(f"{path}: each target must have a single row, but {catalog.meta['ledger']}")
@@ -172,6 +175,19 @@ class Partitions:
         if k and catalog.id.dtype.kind != self._id_kind:
             raise InputError(f"{path}: ids must be integers in all partitions, or text in all partitions")
         return catalog
+
+    def _check_mode(self, k: int, table: Table) -> None:
+        """Raise an error if the targets of partition k and of the first partition cannot share an exposure."""
+        mode = "" if self.finder.format is None else self.finder.format.mode
+        if k and mode:
+            try:
+                check_mode(vstack([self._first_modes, table[[mode]]]), mode, "catalog")
+            except InputError as error:
+                raise InputError(f"{self.files[k][2]} and {self.files[0][2]}: {error}") from None
+
+    @cached_property
+    def _first_modes(self) -> Table:
+        return self.table(0, [self.finder.format.mode])
 
     @cached_property
     def _id_kind(self) -> str:

@@ -99,9 +99,10 @@ def _pfs(lower: dict) -> SurveyFormat | None:
     lower = {name if name == "ob_code" else name.removeprefix("ob_"): column for name, column in lower.items()}
     if not lower.keys() >= {"ob_code", "priority", "exptime"} or lower.keys() & {"id", "target_id"}:
         return None
-    marks = tuple(lower[name] for name in ("ob_code", "single_exptime", "resolution") if name in lower)
+    marks = tuple(lower[name] for name in ("ob_code", "exptime", "single_exptime", "resolution") if name in lower)
     columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
-    columns |= {role: lower[role] for role in ("ra", "dec") if role in lower}
+    own = {"ra": "ra", "dec": "dec", "pmra": "pmra", "pmdec": "pmdec", "epoch": "epoch", "id": "obj_id"}
+    columns |= {role: lower[name] for role, name in own.items() if lower.get(name, "").lower().startswith("ob_")}
     columns |= {} if lower.keys() & {"obj_id", "objid"} else {"id": lower["ob_code"]}
     times = not lower.keys() & {"visits", "n_visits", "nvisits"}  # added by the user
     if not times:
@@ -113,20 +114,22 @@ def _pfs(lower: dict) -> SurveyFormat | None:
 def visits_of_times(table: Table, name: str, exposure: str) -> tuple[np.ndarray, str]:
     """Return the numbers of visits of the targets of PFS, and a remark on the time of one exposure.
 
-    The number is the exposure time of the target over the time of one exposure, rounded up.
+    The number is the exposure time of the target over the time of one exposure (900 s if missing), rounded up.
     """
     total = _times(table[name], name)
-    single = _times(table[exposure], exposure) if exposure else EXPOSURE.value
-    return np.ceil(total / single), f" (divided by {exposure or EXPOSURE}, rounded up)"
+    single = _times(table[exposure], exposure, EXPOSURE.value) if exposure else EXPOSURE.value
+    # 1.1 h / 0.1 h is slightly more than 11 in floating-point arithmetic
+    return np.ceil(total / single * (1 - 1e-9)), f" (divided by {exposure or EXPOSURE}, rounded up)"
 
 
-def _times(column, name: str) -> np.ndarray:
-    """Return the times in a column in seconds; raise an error if a time is not a positive number."""
+def _times(column, name: str, missing: float = np.nan) -> np.ndarray:
+    """Return the times in a column in seconds, or ``missing``; raise an error if a time is not a positive number."""
     unit = getattr(column, "unit", None) or u.s
     try:
         values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan) * unit.to(u.s)
     except (TypeError, ValueError):
         raise InputError(f"column {name!r} must hold exposure times in seconds, got text or the unit {unit}") from None
+    values = np.where(np.isnan(values), missing, values)
     if (wrong := ~(np.isfinite(values) & (values > 0))).any():
         raise InputError(f"column {name!r} must hold positive exposure times, got other values in {rows_of(wrong)}")
     return values

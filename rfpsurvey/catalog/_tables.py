@@ -38,8 +38,8 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
     """
     columns, units, fill = ({} if one is None else one for one in (columns, units, fill))
     table, is_plain = as_table(table, columns)
-    table, selected = select_rows(table, select)
     table, ledger = _last_entries(table)
+    table, selected = select_rows(table, select)
     assume_units = assume_units or is_plain
     extra = None if keep is None else pick_columns(table, keep, _names_in_results(table, columns, frame))
     find, roles = Finder(table, columns, units, fill=fill), catalog_roles(frame)

@@ -8,6 +8,7 @@ from rfpsurvey._units import check_columns, rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
 from rfpsurvey.instrument._missing import is_missing
 
+MOST_DEVICE, N_PETALS = 542, 10  # LOCATION is 1000 times the petal plus the device
 ROW = "_row"
 """Name of a column with the number of each row in the file, counted from 1."""
 

@@ -21,7 +21,7 @@ from rfpsurvey._units import check_columns, to_labels, to_plain
 from rfpsurvey.errors import InputError, InputUnitsError, check_choice, close_to, listed, short, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._desi_state import moment_of
-from rfpsurvey.instrument._desi_tables import ROW, numbers, whole
+from rfpsurvey.instrument._desi_tables import MOST_DEVICE, N_PETALS, ROW, numbers, whole
 
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
@@ -164,7 +164,7 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
         "file": name,
         "time": _time_text(moments) if moments and any((row.first, row.end) != ALWAYS for row in rows) else None,
         **{state: counts[state] for state in STATES},
-        "unused_rows": len(rows) - len(used),
+        "unused_rows": sum(row.state != UNCHANGED for row in rows) - len(used),
         "digest": hashlib.sha256("\n".join(sorted(map(repr, rows))).encode()).hexdigest()[:16],
     }
     earlier = len(_prefixes(instrument.values))
@@ -277,6 +277,12 @@ def _rows(table: Table, plane: FocalPlane, what: str) -> list[Row]:
 def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
     """Return a table of states for the table fiberstatus of fiberassign, whose x axis has the opposite direction."""
     check_columns(table.colnames, [*DESI, "X", "Y"], f"{what}: the table")
+    if plane.id.dtype.kind not in "iu" or ((plane.id // 1000 >= N_PETALS) | (plane.id % 1000 > MOST_DEVICE)).any():
+        raise InputError(
+            f"{what}: the identifiers of positioners must be LOCATIONs of DESI (1000 times the petal plus the device) "
+            f"for a table of fiberassign, got {listed(plane.id[-2:].tolist())}; use DESI as built "
+            "(Instrument.from_desi, or --instrument with the path of a file such as fp-metrology.csv)"
+        )
     ids, broken, stuck = (whole(table, name, what) for name in DESI)
     table[ROW], row_of = np.arange(1, len(table) + 1), {str(own): k for k, own in enumerate(plane.id.tolist())}
     known = np.isin(ids.astype(str), list(row_of))
@@ -288,7 +294,7 @@ def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
         row, xy = row_of[str(ids[k])], np.full((len(plane), 2), np.nan)
         xy[row] = place
         poses[k] = [angles[row].to_value(u.deg) for angles in plane.inverse(xy * u.mm)]
-        if np.isnan(poses[k]).any():
+        if np.isnan(poses[k]).any() and not broken[k]:  # a broken positioner needs no pose
             raise InputError(
                 f"{what}: X and Y of a stuck fiber must be a position in reach of the positioner, got "
                 f"{-place[0]:g} and {place[1]:g} mm for {ids[k]}"

@@ -17,6 +17,7 @@ from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import head_of, read_tables, sentence
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
+from rfpsurvey.instrument._desi_tables import MOST_DEVICE, N_PETALS
 from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
@@ -63,7 +64,6 @@ UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
 LAMBDA_REF = 5400.0  # Angstrom; all files of DESI have this value
-MOST_DEVICE, N_PETALS = 542, 10
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
 SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")

@@ -39,17 +39,17 @@ def find_names(table: Table, columns: dict | None) -> dict[str, str]:
     return names
 
 
-def is_of_pfs(names: dict[str, str]) -> bool:
-    """Return whether a table contains pointings of PFS, in degrees."""
-    return names["ra"].lower() == "ppc_ra"
+def is_of_pfs(table: Table) -> bool:
+    """Return whether a table contains pointings of PFS, in degrees; their columns may have other names in part."""
+    return any(name.lower().startswith("ppc_") for name in table.colnames)
 
 
 def pfs_angle(table: Table, names: dict[str, str]) -> u.Quantity:
-    """Return the position angle of the focal plane of PFS at ``ppc_pa`` = 0, or 0 for tables without ``ppc_ra``.
+    """Return the position angle of the focal plane of PFS at ``ppc_pa`` = 0, or 0 for tables of other surveys.
 
     An error is raised if the pointings need different resolutions.
     """
-    if not is_of_pfs(names):
+    if not is_of_pfs(table):
         return 0 * u.deg
     if mode := next((name for name in table.colnames if name.lower() == "ppc_resolution"), None):
         check_mode(table, mode, "tiles")

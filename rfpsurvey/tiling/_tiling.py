@@ -198,7 +198,7 @@ class Tiling:
         meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
         n, found = (
             len(table),
-            read_angles(table, names, units, silent=assume_units or is_plain or bool(said) or is_of_pfs(names)),
+            read_angles(table, names, units, silent=assume_units or is_plain or bool(said) or is_of_pfs(table)),
         )
         result = QTable(
             {

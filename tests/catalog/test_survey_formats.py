@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable, Table, vstack
+from astropy.table import MaskedColumn, QTable, Table, vstack
 from astropy.time import Time
 from numpy.testing import assert_allclose
 
@@ -103,6 +103,15 @@ def test_only_the_last_entry_of_each_target_in_a_ledger_is_read(tmp_path):
         assert catalog.meta["ledger"] == text
     targets = table["TARGETID", "RA", "DEC", "PRIORITY_INIT", "NUMOBS_INIT"]
     assert len(rs.Catalog.from_table(targets)) == 8  # target files have one row for each target
+
+
+def test_rows_are_selected_among_the_last_entries_of_a_ledger():
+    """Rows were selected first, so that superseded entries of finished targets were planned."""
+    table = vstack([ledger(), ledger()[[3]]])
+    table["NUMOBS_MORE"][-1], table["PRIORITY"][-1] = 0, 2
+    with pytest.warns(RfpsurveyWarning, match="1 of 7 rows of the DESI ledger are earlier entries"):
+        catalog = rs.Catalog.from_table(table, select={"NUMOBS_MORE": 1})
+    assert catalog.id.tolist() == [FIRST_ID + 4, FIRST_ID + 5]
 
 
 @pytest.mark.parametrize("name", ["NUMOBS_INIT", "NUMOBS_MORE"])
@@ -294,29 +303,6 @@ def test_real_candidates_of_sdssv_have_small_priorities_first(real_data):
         assert (rs.Catalog.from_table(table).priority == -table["priority"]).all()
 
 
-@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS])])
-def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
-    parquet = pytest.importorskip("pyarrow.parquet")
-    pa = pytest.importorskip("pyarrow")
-    folder = tmp_path / "dataset" / "Norder=0" / "Dir=0"
-    folder.mkdir(parents=True)
-    whole = rs.Catalog.from_table(table, keep=[])
-    pixel = rs.catalog.partition_catalog(whole, tmp_path / "own", order=0).parts.files[0][1]
-    columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
-    parquet.write_table(pa.table(columns), folder / f"Npix={pixel}.parquet")
-    parts = rs.catalog.PartitionedCatalog(tmp_path / "dataset")
-    for catalog in (parts.read(), parts.parts.part(0)):
-        for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
-            assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name
-    assert parts.meta["columns"] == parts.read().meta["columns"] == whole.meta["columns"]
-
-
-def test_joined_files_of_desi_are_read():
-    targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
-    sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
-    assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
-
-
 def pfs(n=4, **columns):
     """Return a target list of PFS, as the target uploader defines it."""
     table = Table({"ob_code": [f"ob{k}" for k in range(n)], "obj_id": 4000 + np.arange(n)})
@@ -325,6 +311,48 @@ def pfs(n=4, **columns):
     for name, values in {**rest, **columns}.items():
         table[name] = values
     return table
+
+
+PFS_LISTS = pfs(), pfs(visits=[3, 2, 1, 1], single_exptime=[900.0] * 4)
+
+
+def partitions_of(tables, folder):
+    """Return a catalog with one partition for each table, at the pixels of their first rows."""
+    parquet = pytest.importorskip("pyarrow.parquet")
+    pa = pytest.importorskip("pyarrow")
+    (folder / "dataset" / "Norder=0" / "Dir=0").mkdir(parents=True)
+    for k, table in enumerate(tables):
+        first = rs.Catalog.from_table(table)[:1]
+        pixel = rs.catalog.partition_catalog(first, folder / f"own_{k}", order=0).parts.files[0][1]
+        columns = {name: np.asarray(getattr(table[name], "value", table[name])) for name in table.colnames}
+        parquet.write_table(pa.table(columns), folder / f"dataset/Norder=0/Dir=0/Npix={pixel}.parquet")
+    return rs.catalog.PartitionedCatalog(folder / "dataset")
+
+
+@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS])
+def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
+    whole = rs.Catalog.from_table(table, keep=[])
+    parts = partitions_of([table], tmp_path)
+    for catalog in (parts.read(), parts.parts.part(0)):
+        for name in ("id", "priority", "visits", "kind", "fiber_type", "subpriority"):
+            assert np.array_equal(getattr(catalog, name), getattr(whole, name)), name
+    stated = whole.meta["columns"].replace(" (divided by 900.0 s, rounded up)", "")
+    assert parts.meta["columns"] == parts.read().meta["columns"] == stated
+
+
+def test_partitions_of_pfs_must_have_one_resolution(tmp_path):
+    """The resolution was checked in each partition, so that surveys had targets of both resolutions."""
+    lists = pfs(resolution=["L"] * 4), pfs(resolution=["M"] * 4, ra=[10.0, 10.1, 10.2, 10.3], obj_id=[1, 2, 3, 4])
+    parts = partitions_of(lists, tmp_path)
+    tiling = rs.Tiling.from_table(QTable({"ra": [10.1, 150.0] * u.deg, "dec": [2.0, 2.0] * u.deg}))
+    with pytest.raises(InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"):
+        rs.plan_survey(parts, "pfs", tiling, allocator="nearest")
+
+
+def test_joined_files_of_desi_are_read():
+    targets = desi(2, PRIORITY_INIT=[1, 2], NUMOBS_INIT=[1, 1], DESI_TARGET=[LRG, ELG])
+    sky = desi(1, PRIORITY_INIT=[-1], NUMOBS_INIT=[-1], DESI_TARGET=[SKY])
+    assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
 
 
 def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times():
@@ -360,6 +388,26 @@ def test_lists_of_the_pointing_planner_of_pfs_are_recognized():
         rs.Catalog.from_table(table)
 
 
+def test_all_columns_of_pfs_with_a_prefix_are_read():
+    """The identifiers, proper motions and epochs were not used."""
+    table = pfs(pmra=[1.0, 2.0, 3.0, 4.0], pmdec=[5.0, 6.0, 7.0, 8.0], epoch=["J2015.5"] * 4)
+    plain = rs.Catalog.from_table(table)
+    table.rename_columns(table.colnames[1:], [f"ob_{name}" for name in table.colnames[1:]])
+    catalog = rs.Catalog.from_table(table)
+    assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
+    assert (catalog.coord.pm_ra_cosdec == plain.coord.pm_ra_cosdec).all()
+    assert (catalog.coord.pm_dec == plain.coord.pm_dec).all()
+    assert catalog.epoch.jyear == plain.epoch.jyear == 2015.5
+
+
+def test_rounding_adds_no_visits_and_missing_times_of_exposures_are_900_s():
+    """1.1 h over 0.1 h gave 12 visits, and a list with a missing time of one exposure was refused."""
+    table = QTable(pfs(exptime=[1.1, 0.7, 0.3, 2.2] * u.h, single_exptime=[0.1] * 4 * u.h))
+    assert rs.Catalog.from_table(table).visits.tolist() == [11, 7, 3, 22]
+    table = pfs(exptime=[1800.0] * 4, single_exptime=MaskedColumn([900.0, 450, 600, 100], mask=[0, 1, 0, 0]))
+    assert rs.Catalog.from_table(table).visits.tolist() == [2, 2, 3, 18]
+
+
 @pytest.mark.parametrize("seed", range(5))
 def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     rng = np.random.default_rng(seed)
@@ -377,7 +425,7 @@ def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
             "column 'exptime' must hold positive exposure times, got other values in 1 of",
         ),
         ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
-        ({"single_exptime": [900, np.nan, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
+        ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
         ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
         ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
     ],
@@ -440,3 +488,12 @@ def test_pointings_of_pfs_are_tiles():
     assert_allclose(tiling.table["position_angle"].to_value(u.deg), [-89.898, 90 - 89.898])
     assert_allclose(plain.table["position_angle"].to_value(u.deg), -89.898)
     assert tiling.table.meta["selected"] == "ppc_resolution=L (2 of 3 rows)"
+    own = Table(table)
+    own.rename_columns(["ppc_ra", "ppc_dec"], ["ra", "dec"])  # the angle and the resolutions were not recognized
+    table["ra"] = table["ppc_ra"]
+    for given, columns in ((own, {}), (table, {"ra": "ra"})):
+        with pytest.raises(InputError, match=r"got L \(2\), M \(1\)"):
+            rs.Tiling.from_table(given, columns)
+        again = rs.Tiling.from_table(given, columns, select={"ppc_resolution": "L"})
+        assert_allclose(again.table["position_angle"], tiling.table["position_angle"])
+        assert_allclose(rs.Tiling.from_table(again.table).table["position_angle"], tiling.table["position_angle"])

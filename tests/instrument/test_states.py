@@ -351,7 +351,7 @@ def test_the_table_of_broken_fibers_of_fiberassign_is_accepted(tmp_path, ending)
     assert np.flatnonzero(worn.focal_plane.arrays.is_stuck).tolist() == [4]
     theta, phi = (angle.copy() for angle in worn.focal_plane.stuck.T)
     assert_allclose(plane.forward(np.nan_to_num(theta), np.nan_to_num(phi))[4].value, plane.xy[4].value + [2, 1])
-    assert summary_of(worn)[2:] == [1, 1, 0, 3]
+    assert summary_of(worn)[2:] == [1, 1, 0, 2]  # the row without flags is not counted
     assert states_of(desi.with_states(table, time="2019-01-01"))[0] == [0, 12]
     assert "_row" not in table.colnames
     with pytest.raises(rs.InputError, match="the time of the observation must be given"):
@@ -367,3 +367,13 @@ def test_the_table_of_broken_fibers_of_fiberassign_is_accepted(tmp_path, ending)
     ):
         with pytest.raises(rs.InputError, match=message):
             desi.with_states(fiberstatus(plane, rows, **changes), time="2026-06-01")
+    both = fiberstatus(plane, rows, STUCK=np.ones(5, int), BROKEN=np.ones(5, int), X=np.full(5, 500) * u.mm)
+    assert states_of(desi.with_states(both, time="2026-06-01")) == ([0, 4, 8], {})  # broken fibers need no pose
+
+
+def test_the_table_of_broken_fibers_of_fiberassign_needs_locations(presets):
+    """LOCATION 95 disabled the positioner with the running number 95 of the preset, which is at another position."""
+    table = {"LOCATION": [95], "X": [-4.1], "Y": [-176.0], "BROKEN": [1], "STUCK": [0]}
+    for name in ("desi", "sdss_apo"):
+        with pytest.raises(rs.InputError, match=r"must be LOCATIONs of DESI .*, got .*; use DESI as built"):
+            presets[name].with_states(Table(table))

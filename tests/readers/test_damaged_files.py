@@ -89,6 +89,18 @@ def test_catalogs_in_fits_with_inserted_bytes_are_refused_or_named(tmp_path):
         rs.Tiling.read(damaged)
 
 
+@pytest.mark.parametrize("size", [1, 9, 2879])
+def test_catalogs_that_are_larger_than_their_headers_state_are_refused(tmp_path, size):
+    """If the padding was longer than the inserted bytes, a warning stated that only padding is missing."""
+    path, n = tmp_path / "catalog.fits", 120
+    QTable({"ra": np.linspace(1, 2, n) * u.deg, "dec": np.zeros(n) * u.deg, "priority": np.zeros(n)}).write(path)
+    content, place = path.read_bytes(), 2 * 2880 + 24 * (n - 1) + 16
+    path.write_bytes(content[:place] + bytes(size) + content[place:])
+    text = f"must have {len(content)} bytes, as its headers state, got {len(content) + size}, which is not"
+    with pytest.raises(rs.InputError, match=text):
+        rs.Catalog.read(path)
+
+
 @pytest.mark.parametrize("name", ["catalog.ecsv", "tiles.ecsv", "own.toml"])
 def test_text_that_ends_within_a_value_is_refused_or_named(tmp_path, name):
     """A priority of 1061.25 was read as 106 if the file ended there, without a message."""
