@@ -470,6 +470,12 @@ def test_offsets_of_candidates_of_sdssv_are_added_to_the_positions():
     assert catalog.coord[1].separation(there[1]).arcsec == 0
     assert_allclose(catalog.coord.pm_ra_cosdec.to_value(u.mas / u.yr), [10, 0])
     assert "delta_dec: delta_dec (added to the positions of 1 target)" in catalog.meta["columns"]
+    table["delta_ra"][1] = 901
+    with pytest.warns(RfpsurveyWarning, match=r"at most 900 arcsec, got larger values in 1 of 2 rows \(row 2\), which"):
+        assert rs.Catalog.from_table(table).coord[1].separation(there[1]).arcsec == 0  # ignored without a message
+    one = table.copy()
+    one.remove_column("delta_dec")
+    assert "delta_ra: " not in rs.Catalog.from_table(one).meta["columns"]
     other = Table(table)
     other.remove_column("fiberType")  # not a table of SDSS-V: the meaning of the columns is unknown
     assert rs.Catalog.from_table(other).coord[0].separation(there[0]).arcsec == 0
