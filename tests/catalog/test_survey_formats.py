@@ -151,6 +151,7 @@ def test_standard_stars_of_the_backup_program_of_desi_are_recognized():
         table = desi(4, DESI_TARGET=[MWS] * 4, MWS_TARGET=star, PRIORITY_INIT=[1] * 4, NUMOBS_INIT=[1, 1, -1, 1])
         catalog = rs.Catalog.from_table(table)
         assert catalog.kind.tolist() == ["science", "science+standard", "standard", "science"]
+        assert "not used" not in catalog.meta["columns"]
         assert catalog.visits.tolist() == [1] * 4
         table.rename_columns(["DESI_TARGET", "MWS_TARGET"], ["SV3_DESI_TARGET", "SV3_MWS_TARGET"])
         assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()
@@ -364,8 +365,10 @@ def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times()
     assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
     stated = "PFS targets: priority: priority (reversed sign), visits: exptime (divided by 900.0 s, rounded up)"
     assert catalog.meta["columns"].startswith(stated)
-    assert "ob_code, resolution" in catalog.meta["columns"].partition("not used: ")[2]
     timed = pfs(single_exptime=[450, 300, 1963.5, 900])
+    for table in (pfs(), timed):  # columns that are used were among those that are not used
+        assert rs.Catalog.from_table(table).meta["columns"].endswith("not used: ob_code")
+    assert "single_exptime" in rs.Catalog.from_table(timed, columns={"visits": "priority"}).meta["columns"]
     assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
     timed["exptime"].unit, timed["single_exptime"].unit = "min", "min"
     assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
