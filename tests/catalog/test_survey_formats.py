@@ -152,6 +152,8 @@ def test_standard_stars_of_the_backup_program_of_desi_are_recognized():
         catalog = rs.Catalog.from_table(table)
         assert catalog.kind.tolist() == ["science", "science+standard", "standard", "science"]
         assert "not used" not in catalog.meta["columns"]
+        table["MWS_TARGET"] = MaskedColumn(star, mask=[True, False, False, False])
+        assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()  # the catalog was refused
         assert catalog.visits.tolist() == [1] * 4
         table.rename_columns(["DESI_TARGET", "MWS_TARGET"], ["SV3_DESI_TARGET", "SV3_MWS_TARGET"])
         assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()
