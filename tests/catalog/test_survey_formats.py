@@ -332,7 +332,9 @@ def partitions_of(tables, folder):
     return rs.catalog.PartitionedCatalog(folder / "dataset")
 
 
-@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS])
+@pytest.mark.parametrize(
+    "table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS]
+)
 def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
     whole = rs.Catalog.from_table(table, keep=[])
     parts = partitions_of([table], tmp_path)
@@ -348,7 +350,9 @@ def test_partitions_of_pfs_must_have_one_resolution(tmp_path):
     lists = pfs(resolution=["L"] * 4), pfs(resolution=["M"] * 4, ra=[10.0, 10.1, 10.2, 10.3], obj_id=[1, 2, 3, 4])
     parts = partitions_of(lists, tmp_path)
     tiling = rs.Tiling.from_table(QTable({"ra": [10.1, 150.0] * u.deg, "dec": [2.0, 2.0] * u.deg}))
-    with pytest.raises(InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"):
+    with pytest.raises(
+        InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"
+    ):
         rs.plan_survey(parts, "pfs", tiling, allocator="nearest")
 
 
