@@ -229,7 +229,7 @@ class Catalog:
         keep : list of str, optional
             Names of further columns that results include; see the parameter ``extra`` of `Catalog`.
         select : dict, optional
-            Dict from column to value, such as ``{"resolution": "L"}``; only rows with these values (as text) are read.
+            Dict from column to value, such as ``{"resolution": "L"}``; only rows with these numbers or texts are read.
 
         Returns
         -------

@@ -298,7 +298,11 @@ class Finder:
             if name or role in ("priority", "visits")
         ]
         said += [f"coord: {name}" for name in coord]
-        unused = [name for name in self.table.colnames if name not in {*names.values(), *keep, *coord}]
+        used = {*names.values(), *keep, *coord}
+        if (form := self.format) is not None:
+            used |= {form.mode, form.stars if form.bits and names.get("kind") == form.bits else ""}
+            used |= {form.exposure if form.times and "visits" not in self.given else ""}
+        unused = [name for name in self.table.colnames if name not in used]
         more = len(unused) - MOST_LISTED
         unused = unused[:MOST_LISTED] + ([f"and {more} more"] if more > 0 else [])
         parts = [", ".join(said), f"kept: {', '.join(keep)}" if keep else ""]

@@ -3,7 +3,7 @@
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._readers import table_of_arrow
+from rfpsurvey._readers import is_number, table_of_arrow
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of, refusal, short
 
@@ -39,19 +39,34 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
 
 
 def select_rows(table: Table, select: dict | None) -> tuple[Table, str]:
-    """Return the rows with the given values of columns, compared as text, and text that states their number."""
+    """Return the rows with the given values of columns, and text that states their number.
+
+    Values are compared as text and, if both are numbers, as numbers; missing values are never selected.
+    """
     if not isinstance(select, dict | None):
         raise refusal("select must be a dict from column to value", select, dict)
     n = len(table)
     for name, value in (select or {}).items():
         if name not in table.colnames:
             raise InputError(f"select: there is no column {name!r}; the columns are: {listed(table.colnames)}")
-        rows = [str(getattr(own, "value", own)).strip() == str(value) for own in table[name]]
-        table = table[np.array(rows, dtype=bool)]
+        table = table[_has_value(table[name], value)]
         if len(table) == 0:
             raise InputError(f"select must leave at least one row, got {name}={value}, which selects no row")
     chosen = ", ".join(f"{name}={value}" for name, value in (select or {}).items())
     return table, f"; selected: {chosen} ({len(table)} of {number_of(n, 'row')})" if chosen else ""
+
+
+def _has_value(column, value: object) -> np.ndarray:
+    """Return whether each row of a column has a value."""
+    texts = np.array([str(getattr(own, "value", own)).strip() for own in column], dtype=str)
+    kind, numbers = getattr(getattr(column, "dtype", None), "kind", ""), getattr(column, "value", column)
+    found = np.char.lower(texts) == str(value).lower() if kind == "b" else texts == str(value)
+    if kind in "biuf" and np.ndim(column) == 1 and is_number(str(value)):
+        numbers = np.ma.getdata(np.ma.asarray(numbers)).astype(float)
+        # integers that float64 does not distinguish are compared only as text
+        found |= (numbers == float(value)) & ((kind == "f") | (np.abs(numbers) < 2.0**53))
+    mask = np.asarray(getattr(column, "mask", False))
+    return found & ~(mask if mask.ndim == 1 else np.zeros(len(found), dtype=bool))
 
 
 def _is_records(given) -> bool:

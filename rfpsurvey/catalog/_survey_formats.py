@@ -11,7 +11,7 @@ from astropy.table import Table
 
 from rfpsurvey._roles import has_role
 from rfpsurvey._units import rows_of, to_labels
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError, listed, warn
 
 # Columns of DESI with numbers of visits. In desitarget, -1 means that no number was set, because the target is only a
 # standard star or a sky position, or cannot be observed in the conditions of the file.
@@ -29,8 +29,10 @@ BITS = re.compile(r"(sv\d_)?desi_target")
 
 EXPOSURE = 900 * u.s
 """Time of one exposure of PFS if a target list states no other time (documentation of the PFS target uploader)."""
-# Offsets of candidates of SDSS-V are at most a few arcmin; larger values, such as -9999.99, are codes for no offset.
 MOST_OFFSET = 900 * u.arcsec
+"""Largest offset of a candidate of SDSS-V that is added; offsets are at most a few arcmin."""
+NO_OFFSET = (-999.0, -999.99, -9999.0, -9999.99)
+"""Codes for no offset."""
 
 
 class SurveyFormat(NamedTuple):
@@ -90,7 +92,8 @@ def _sdssv(lower: dict) -> SurveyFormat | None:
     # rfpsurvey writes priorities with the sign that it uses, and names the identifiers id or target_id
     if "priority" not in lower or None in found or lower.keys() & {"id", "target_id"}:
         return None
-    columns = {name: lower[name] for name in ("delta_ra", "delta_dec") if name in lower}
+    offsets = ("delta_ra", "delta_dec")
+    columns = {name: lower[name] for name in offsets} if lower.keys() >= {*offsets} else {}
     return SurveyFormat("SDSS-V candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(found))
 
 
@@ -153,6 +156,10 @@ def shifted(coord: SkyCoord, offsets: list[u.Quantity]) -> tuple[SkyCoord, int]:
     The offsets are angles on the sky toward east and north (robostrategy).
     """
     east, north = (np.where(np.abs(one) <= MOST_OFFSET, one, 0 * u.arcsec) for one in offsets)
+    large = np.any([(np.abs(one) > MOST_OFFSET) & ~np.isin(one.value.round(2), NO_OFFSET) for one in offsets], axis=0)
+    if large.any():
+        text = f"delta_ra and delta_dec must be at most {MOST_OFFSET:g}, got larger values in {rows_of(large)}"
+        warn(f"{text}, which are not added to the positions")
     n = np.count_nonzero((east != 0) | (north != 0))
     if not n:
         return coord, 0

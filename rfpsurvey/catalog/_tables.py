@@ -50,7 +50,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
         kind = to_kinds(np.where(kind == "", "science", kind), f"column {find.name_of('kind')!r} (kind)")
     elif find.format is not None and find.format.bits is not None:
         bits = _bits(find, find.format.bits)
-        kind, visits = kinds_and_visits(bits, _bits(find, find.format.stars), visits)
+        kind, visits = kinds_and_visits(bits, _bits(find, find.format.stars, fill=True), visits)
         unset &= ~is_unusable(bits)
     elif category is not None:
         kind = _kind_of_category(category)
@@ -133,11 +133,14 @@ def _visits(find: Finder) -> tuple[np.ndarray | None, np.ndarray]:
     return np.where(unset, 0, visits), unset
 
 
-def _bits(find: Finder, name: str | None) -> np.ndarray:
-    """Return the bits in a column such as ``DESI_TARGET`` of a table of DESI; 0 without this column."""
+def _bits(find: Finder, name: str | None, *, fill: bool = False) -> np.ndarray:
+    """Return the bits in a column such as ``DESI_TARGET`` of a table of DESI; 0 without this column.
+
+    With ``fill``, 0 replaces missing values.
+    """
     if name is None:
         return np.zeros(len(find.table), dtype=np.int64)
-    bits = to_labels(find.table[name], f"column {name!r}")
+    bits = to_labels(np.ma.filled(find.table[name], 0) if fill else find.table[name], f"column {name!r}")
     if bits.dtype.kind != "i":
         raise InputError(f"column {name!r} must hold integers, whose bits state the kinds of targets, got text")
     return bits

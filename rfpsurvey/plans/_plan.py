@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
-from rfpsurvey._io import suffix_of, to_path
+from rfpsurvey._io import read_table, suffix_of, to_path
 from rfpsurvey._readers import check_is_file, reading, sentence
 from rfpsurvey._roles import JOINED
 from rfpsurvey._units import to_plain
@@ -96,6 +96,8 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     if format is None:
         format = recognize_plan(path)  # noqa: A001
         if format is None:
+            if suffix_of(path) == ".fits":
+                read_table(path)  # raises an error if the file is damaged
             raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(FORMATS)}")
     with reading(path, f"a plan in the format {format}"):
         return _module(format).read(path)

@@ -77,6 +77,9 @@ class Cadences:
         lower = {SYNONYMS.get(name.lower(), name.lower()): name for name in reversed(table.colnames)}
         if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in lower]:
             raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")
+        known = {name.lower() for name in table.colnames}
+        if both := next((pair for pair in SYNONYMS.items() if known >= {*pair}), None):
+            raise InputError(f"a table of cadences must have one of the columns {' and '.join(both)}, got both")
         object.__setattr__(self, "_columns", lower)
         names = [str(name).strip() for name in table[lower["cadence"]].tolist()]
         if len(set(names)) < len(names):

@@ -66,6 +66,8 @@ def without_others(table: Table) -> tuple[Table, str]:
         return table, ""
     is_part = to_flags(table[name], f"column {name!r}")
     said = f"{np.count_nonzero(~is_part)} of {number_of(len(table), 'tile')} ({name} = 0)"
+    if len(table) and not is_part.any():
+        raise InputError(f"at least one tile must be part of DESI's survey ({name} = 1), got {len(table)} other tiles")
     if not is_part.all():
         warn(f"{said} are omitted, because they are not part of DESI's survey")
     return table[is_part], said

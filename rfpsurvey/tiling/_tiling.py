@@ -169,7 +169,7 @@ class Tiling:
             neither right ascensions nor declinations have a unit in the table, degrees are assumed, and a warning is
             issued. There is no warning for DataFrames, which cannot have units, and for lists of tiles of DESI.
         select : dict, optional
-            Dict from column to value; only rows with these values, compared as text, are read.
+            Dict from column to value; only rows with these values, compared as numbers or text, are read.
 
         Returns
         -------

@@ -300,3 +300,31 @@ def test_an_exception_of_another_package_names_the_frame():
     frame = type("DataFrame", (), {"__module__": "polars.frame", "to_arrow": to_arrow})()
     with pytest.raises(rs.InputError, match="DataFrame.* cannot be used as a table: the connection is closed"):
         rs.Catalog.from_table(frame)
+
+
+@pytest.mark.parametrize(
+    ("values", "value", "rows"),
+    [
+        ([1800.0, 900.0, 1800.0], 1800, [1, 3]),
+        ([1800.0, 900.0, 1800.0], "1800", [1, 3]),
+        (np.array([0.1, 0.2, 0.1], "f4"), 0.1, [1, 3]),
+        ([1, 2, 1], 1.0, [1, 3]),
+        ([2**60, 2**60 + 1, 3], 2**60 + 1, [2]),
+        ([True, False, True], "true", [1, 3]),
+        ([True, False, True], "false", [2]),
+        (["a", "b", "A"], "a", [1]),
+        (MaskedColumn([1, 2, 1], mask=[False, False, True]), 1, [1]),
+        ([1800.0, 900.0, 1800.0] * u.s, 1800, [1, 3]),
+    ],
+)
+def test_values_are_selected_as_numbers_and_flags(values, value, rows):
+    """Values were compared only as text, so that 1800 selected no row of a column with 1800.0."""
+    table = QTable({"id": [1, 2, 3], "ra": [1, 2, 3] * u.deg, "dec": [0, 0, 0] * u.deg})
+    table["own"] = values
+    assert rs.Catalog.from_table(table, select={"own": value}).id.tolist() == rows
+
+
+def test_missing_values_are_not_selected():
+    table = Table({"ra": [1.0, 2.0], "dec": [0.0, 0.0], "own": MaskedColumn([1, 2], mask=[False, True])})
+    with pytest.raises(rs.InputError, match="own=--, which selects no row"):
+        rs.Catalog.from_table(table, select={"own": "--"})

@@ -151,6 +151,9 @@ def test_standard_stars_of_the_backup_program_of_desi_are_recognized():
         table = desi(4, DESI_TARGET=[MWS] * 4, MWS_TARGET=star, PRIORITY_INIT=[1] * 4, NUMOBS_INIT=[1, 1, -1, 1])
         catalog = rs.Catalog.from_table(table)
         assert catalog.kind.tolist() == ["science", "science+standard", "standard", "science"]
+        assert "not used" not in catalog.meta["columns"]
+        table["MWS_TARGET"] = MaskedColumn(star, mask=[True, False, False, False])
+        assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()  # the catalog was refused
         assert catalog.visits.tolist() == [1] * 4
         table.rename_columns(["DESI_TARGET", "MWS_TARGET"], ["SV3_DESI_TARGET", "SV3_MWS_TARGET"])
         assert rs.Catalog.from_table(table).kind.tolist() == catalog.kind.tolist()
@@ -329,7 +332,9 @@ def partitions_of(tables, folder):
     return rs.catalog.PartitionedCatalog(folder / "dataset")
 
 
-@pytest.mark.parametrize("table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS])
+@pytest.mark.parametrize(
+    "table", [ledger(), sdssv(), desi(DESI_TARGET=[LRG, STD_FAINT, SKY, BAD_SKY, ELG, MWS]), *PFS_LISTS]
+)
 def test_partitioned_catalogs_of_surveys_are_read_as_tables(tmp_path, table):
     whole = rs.Catalog.from_table(table, keep=[])
     parts = partitions_of([table], tmp_path)
@@ -345,7 +350,9 @@ def test_partitions_of_pfs_must_have_one_resolution(tmp_path):
     lists = pfs(resolution=["L"] * 4), pfs(resolution=["M"] * 4, ra=[10.0, 10.1, 10.2, 10.3], obj_id=[1, 2, 3, 4])
     parts = partitions_of(lists, tmp_path)
     tiling = rs.Tiling.from_table(QTable({"ra": [10.1, 150.0] * u.deg, "dec": [2.0, 2.0] * u.deg}))
-    with pytest.raises(InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"):
+    with pytest.raises(
+        InputError, match=r"Npix=.*'resolution' must have one value in all rows, .* got L \(4\), M \(4\)"
+    ):
         rs.plan_survey(parts, "pfs", tiling, allocator="nearest")
 
 
@@ -364,8 +371,10 @@ def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times()
     assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
     stated = "PFS targets: priority: priority (reversed sign), visits: exptime (divided by 900.0 s, rounded up)"
     assert catalog.meta["columns"].startswith(stated)
-    assert "ob_code, resolution" in catalog.meta["columns"].partition("not used: ")[2]
     timed = pfs(single_exptime=[450, 300, 1963.5, 900])
+    for table in (pfs(), timed):  # columns that are used were among those that are not used
+        assert rs.Catalog.from_table(table).meta["columns"].endswith("not used: ob_code")
+    assert "single_exptime" in rs.Catalog.from_table(timed, columns={"visits": "priority"}).meta["columns"]
     assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
     timed["exptime"].unit, timed["single_exptime"].unit = "min", "min"
     assert rs.Catalog.from_table(timed).visits.tolist() == [2, 4, 1, 1]
@@ -470,6 +479,12 @@ def test_offsets_of_candidates_of_sdssv_are_added_to_the_positions():
     assert catalog.coord[1].separation(there[1]).arcsec == 0
     assert_allclose(catalog.coord.pm_ra_cosdec.to_value(u.mas / u.yr), [10, 0])
     assert "delta_dec: delta_dec (added to the positions of 1 target)" in catalog.meta["columns"]
+    table["delta_ra"][1] = 901
+    with pytest.warns(RfpsurveyWarning, match=r"at most 900 arcsec, got larger values in 1 of 2 rows \(row 2\), which"):
+        assert rs.Catalog.from_table(table).coord[1].separation(there[1]).arcsec == 0  # ignored without a message
+    one = table.copy()
+    one.remove_column("delta_dec")
+    assert "delta_ra: " not in rs.Catalog.from_table(one).meta["columns"]
     other = Table(table)
     other.remove_column("fiberType")  # not a table of SDSS-V: the meaning of the columns is unknown
     assert rs.Catalog.from_table(other).coord[0].separation(there[0]).arcsec == 0

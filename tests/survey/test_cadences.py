@@ -147,6 +147,7 @@ def changed(**columns):
             changed(cadence=["once", "once", "pairs", "thrice", "dark"]),
             "the name of a cadence must be unique, got 2 rows for",
         ),
+        (changed(NEXP=["1"] * 5), "a table of cadences must have one of the columns nexp and n_exp, got both"),
         (TABLE["cadence", "delta_min"], "a table of cadences must have the column delta_max"),
         (TABLE[:2], "the cadence of a target must be in the table of cadences, got"),
     ],

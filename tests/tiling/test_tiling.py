@@ -99,6 +99,8 @@ def test_tiles_that_are_not_part_of_desi_are_omitted_with_a_warning(kind):
     all_in = rs.Tiling.from_table(given[::2])  # without a warning, which would fail the test
     assert all_in.table.meta["omitted"] == "0 of 2 tiles (IN_DESI = 0)"
     assert all_in.table.meta["columns"] == {"tile": "TILEID", "ra": "RA", "dec": "DEC"}
+    with pytest.raises(rs.InputError, match=r"must be part of DESI's survey \(IN_DESI = 1\), got 1 other tiles"):
+        rs.Tiling.from_table(given, select={"TILEID": 8})  # a tiling without tiles was returned
 
 
 def test_the_list_of_tiles_of_desi_is_read(real_data):
