@@ -1,6 +1,7 @@
 """Instruments, each with a focal plane, optics and the sources of all values; presets are data files."""
 
 from rfpsurvey.instrument._compare_projections import ProjectionComparison, choose_projection, compare_projections
+from rfpsurvey.instrument._desi_tables import MOST_DEVICE, N_PETALS
 from rfpsurvey.instrument._facts import arm_classes, arm_facts, fact_texts
 from rfpsurvey.instrument._instrument import (
     Instrument,
@@ -14,6 +15,8 @@ from rfpsurvey.instrument._pfs_map import PFI_ANGLE, pfs_engineering_fibers, pfs
 from rfpsurvey.instrument._states import describe_states
 
 __all__ = [
+    "MOST_DEVICE",
+    "N_PETALS",
     "PFI_ANGLE",
     "Instrument",
     "ProjectionComparison",

@@ -17,7 +17,7 @@ from rfpsurvey._io import check_fits_text, output_path, suffix_of
 from rfpsurvey._readers import head_of, read_tables, sentence
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
-from rfpsurvey.instrument._desi_tables import MOST_DEVICE, N_PETALS
+from rfpsurvey.instrument import MOST_DEVICE, N_PETALS
 from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
