@@ -156,7 +156,7 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
 
 
 def read_assignment(keys):
-    """Read a table, and select the rows with the given values of columns; values are compared as text."""
+    """Read a table, and select the rows with the given values of columns."""
     if native_format(keys.path) is None or keys.hdu is not None:
         table = read_table(keys.path, keys.hdu, "; to read another table, give --set catalog.hdu=NAME")
     else:

@@ -119,6 +119,7 @@ def apply_constraints(
     """Return the obstacles that constraints add to a field, and the targets that they exclude.
 
     If ``targets`` are only those that have a fiber, their positions on the focal plane must be given as ``xy`` (mm).
+    These targets keep all roles, because a finished plan states which fibers are on standards and sky positions.
     """
     constraints = tuple(one for one in options.all_constraints if one.uses_field)
     field = constraint_field(instrument, projection, targets, xy) if constraints else None

@@ -2,6 +2,7 @@
 
 import numpy as np
 from astropy.io import fits
+from astropy.table import Table
 
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import design_id
@@ -133,3 +134,13 @@ def write_design(path, tables=None, leave_out=(), **cards):
             units.append(fits.BinTableHDU.from_columns(made, header if name != "GUIDESTARS" else None, name=name))
     fits.HDUList(units).writeto(path)
     return path
+
+
+def target_list(n=4, **columns):
+    """Return a target list of PFS, as the target uploader defines it."""
+    table = Table({"ob_code": [f"ob{k}" for k in range(n)], "obj_id": 4000 + np.arange(n)})
+    table["ra"], table["dec"] = 150 + 0.01 * np.arange(n), np.full(n, 2.0)
+    rest = {"exptime": [900.0, 901.0, 1963.5, 450.0], "priority": [0, 1, 5, 9], "resolution": ["L"] * 4}
+    for name, values in {**rest, **columns}.items():
+        table[name] = values
+    return table
