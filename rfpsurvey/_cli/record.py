@@ -8,7 +8,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import _command, _examples, _main
 from rfpsurvey._cli._print import print_text
-from rfpsurvey._readers import parse_number
+from rfpsurvey._readers import is_number, parse_number
 from rfpsurvey.errors import listed, number_of
 
 
@@ -24,14 +24,13 @@ def record(
         ),
     ],
     enough: Annotated[
-        float,
+        str,
         typer.Option(
-            parser=parse_number,
             metavar="ENOUGH",
             help="Smallest fraction of the exposure at which a tile counts as done; with a smaller fraction, it is "
             "partly observed. It has no effect on rows with a state.",
         ),
-    ] = 1.0,
+    ] = "1",
     tile: Annotated[str | None, typer.Option(help="The tile of all rows of a table without a column of tiles.")] = None,
     column: Annotated[
         list[str] | None,
@@ -43,7 +42,8 @@ def record(
 ) -> None:
     """Record what was observed, or which tiles and targets changed, in the folder of a survey."""
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
-    found = rs.Survey.read(folder).record(table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
+    least = parse_number(enough) if is_number(enough) else enough
+    found = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, dry_run=dry_run)
     print(f"{'new events':<34}{found['n_events']:>12}")
     print(f"{'already recorded':<34}{found['n_known']:>12}")
     print(f"{'ignored (not observed)':<34}{found['n_ignored']:>12}")
