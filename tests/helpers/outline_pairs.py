@@ -16,6 +16,8 @@ from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
 from rfpsurvey.positioner import make_outline
 
 CLEAR = 1e-9
+# Smaller than all positive differences of distances of points whose coordinates are sums of two floats.
+LEAST = Fraction(1, 2**400)
 """Distances by shapely that differ from a limit by less than this are not used, relative to the size of the scene."""
 
 
@@ -104,7 +106,8 @@ def count(pairs):
             by_rationals.add(k)
             a, b = (exact_points(placed[2 * k + side], *spans[part]) for side, part in ((0, p), (1, q)))
             radii = sum(Fraction(float(outline.parts[RADIUS, part])) for part in (p, q))
-            expected[k] = closer(a, b, Fraction(float(separation[k])) + radii)
+            # parts that touch collide if the minimum separation is 0
+            expected[k] = closer(a, b, Fraction(float(separation[k])) + radii + (separation[k] == 0) * LEAST)
     borderline = np.flatnonzero(got < 0)
     for k in borderline:
         got[k] = outlines_closer_exactly(

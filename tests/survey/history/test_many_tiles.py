@@ -28,7 +28,7 @@ def replan(folder, catalog=None, executor=None):
 
 
 def night(folder, date, rng=None):
-    """Record a night, in which visits fail at random; ``rng`` shuffles the rows of the table."""
+    """Record a night, in which visits fail at random; ``rng`` shuffles the rows of each tile of the table."""
     survey, chance = rs.Survey.read(folder), np.random.default_rng(NIGHTS[date].start)
     tiles, positioners = [], []
     for row in NIGHTS[date]:
@@ -38,7 +38,8 @@ def night(folder, date, rng=None):
         tiles += [name] * (1 + len(failed))
         positioners += ["", *failed]
     table = events(tile=tiles, date=date, positioner=positioners, good=[one == "" for one in positioners])
-    survey.record(table if rng is None else table[rng.permutation(len(table))])
+    # the tiles of a night have the order of the table
+    survey.record(table if rng is None else table[np.lexsort((rng.random(len(table)), tiles))])
 
 
 def change(folder, rng=None):
