@@ -218,7 +218,6 @@ def assign(
         tell=tell,
         subpriority=columns.subpriority,
         deadline=deadline,
-        row=order if columns.subpriority is None else None,
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)

@@ -22,6 +22,8 @@ BATCH = 10_000_000
 SLOWER = 20
 # Number of comparisons of candidates before the clock is read again, while candidates are removed.
 COMPARED = 10_000_000
+# Largest number of candidates in place of a maximum.
+UNLIMITED = np.iinfo(np.int64).max
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,17 +61,6 @@ class Candidates:
             found.__dict__["segments"] = np.compress(keep, self.segments, axis=1)
         return found
 
-    def renumbered(self, problem: AllocationProblem, row: np.ndarray) -> "Candidates":
-        """Return the candidates, without costs, for a problem in which target ``t`` has the row ``row[t]``."""
-        o = self.options
-        target, is_idle = np.append(row, -1)[o.target], np.zeros(len(self), dtype=bool)
-        is_idle[o.start[1:] - 1] = True
-        order = np.lexsort((target, -self.side, is_idle, o.own))  # the order of `list_candidates`
-        new = np.empty_like(order)
-        new[order] = np.arange(len(order))
-        columns = o.start, o.own, target[order], self.side[order], np.zeros(len(self)), new[self.pairs]
-        return _assemble(problem, self.preselection, *columns)
-
     @cached_property
     def spreads(self) -> list[Spread]:
         """The candidates that each rule on the distribution of fibers concerns."""
@@ -78,6 +69,21 @@ class Candidates:
             Spread(rule, *(members(problem, rule, what, o.own, o.target) for what in ("science", rule.what)))
             for rule in problem.distributions
         ]
+
+    @cached_property
+    def limits(self) -> np.ndarray:
+        """Smallest and largest number of candidates of each group of ``held`` that a plan may use, shape (2, n_groups).
+
+        The largest number is a large number if there is no maximum.
+        """
+        limits = [(g.requirement.minimum, g.requirement.maximum) for g in self.problem.groups]
+        limits = [(low, UNLIMITED if high is None else high) for low, high in limits]
+        return np.ascontiguousarray(np.array(limits, dtype=np.int64).reshape(-1, 2).T)
+
+    @cached_property
+    def counted(self) -> np.ndarray:
+        """Whether each candidate counts toward a minimum."""
+        return self.held[self.limits[0] > 0].any(axis=0)
 
     @cached_property
     def held_sparse(self) -> "scipy.sparse.csr_array":

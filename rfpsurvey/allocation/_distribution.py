@@ -74,13 +74,12 @@ def drop_neighbors(candidates, chosen: np.ndarray) -> np.ndarray:
     return chosen
 
 
-def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float, now, blocked, holder) -> None:
+def add_neighbors(candidates, spread: Spread, deadline: float, now, blocked, holder) -> None:
     """Assign neighbors to positioners until a plan complies with a rule, or no candidate has an effect, in place.
 
     The gain of a candidate is the number of science fibers that lack neighbors close to it. Among the candidates with
     at least half of the largest gain, each step assigns the one whose positioner gives up the least important target.
-    ``most`` are the maxima of the requirements; ``now``, ``blocked`` and ``holder`` are the state of the plan
-    (`stand`).
+    ``now``, ``blocked`` and ``holder`` are the state of the plan (`stand`).
     """
     from scipy.sparse import csr_array
 
@@ -88,7 +87,7 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
     rule, science, near = spread
     if not lack_of(problem, rule, options.target[now]):
         return
-    least = np.array([group.requirement.minimum for group in problem.groups], dtype=int)
+    least, most = candidates.limits
     keep = np.append(problem.is_required, False)[options.target]
     keep |= np.any([one.near for one in candidates.spreads], axis=0)
     able, fibers = np.flatnonzero(near), now[science[now]]
@@ -114,3 +113,18 @@ def add_neighbors(candidates, spread: Spread, most: np.ndarray, deadline: float,
         alive &= fibers != now[own[best]]
         moves.put(own[best], able[best], options, now, blocked, holder)
         n_near[close.indices[close.indptr[at[best]] : close.indptr[at[best] + 1]]] += 1
+
+
+def drop_unserved(candidates, spread: Spread, now, blocked, holder) -> None:
+    """Remove the least important science fibers that lack neighbors until a plan complies with a rule, in place.
+
+    ``now``, ``blocked`` and ``holder`` are the state of the plan (`stand`).
+    """
+    options, problem, rule = candidates.options, candidates.problem, spread.rule
+    fibers, near = now[spread.science[now]], now[spread.near[now]]
+    apart = rule.distances(problem.xy[options.target[fibers]], problem.xy[options.target[near]], rule.k)
+    lacking = fibers[apart > rule.distance_mm]
+    for c in lacking[np.argsort(-options.rank[lacking], kind="stable")]:
+        idle = options.start[options.own[c] + 1] - 1
+        if lack_of(problem, rule, options.target[now]) > 0 and blocked[idle] == 0 and c != idle:
+            moves.put(options.own[c], idle, options, now, blocked, holder)

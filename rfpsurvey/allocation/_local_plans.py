@@ -1,16 +1,15 @@
 """The plan of ``repair``, from which `decide` starts if arms are long or if time is short."""
 
-from dataclasses import replace
+from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
 from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
-from rfpsurvey.allocation._local_search import match, pick, repair_collisions, trim
+from rfpsurvey.allocation._local_search import match, pick, repair_collisions, repair_nearby, trim
 from rfpsurvey.allocation._methods import lamost_rule
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.focal_plane import Reach
 
 # Largest number of collisions of candidates.
 MOST_PAIRS = 20_000_000
@@ -44,42 +43,20 @@ class Repaired(NamedTuple):
 
 
 def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: bool) -> Repaired:
-    """Return the plan of the allocator ``repair``, whose ties depend on the order in which the targets were given.
+    """Return the plan of the allocator ``repair``.
 
     If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
     """
-    given, row = _as_given(problem), problem.row
-    before = lamost_rule(given).target_of_positioner
-    candidates, deadline = None, np.inf if whole else max(problem.deadline, now() + AT_LEAST)
-    if whole and everything.preselection.n_left_out:
-        try:
-            seconds = max(left(problem.deadline), AT_LEAST)
-            candidates = find_candidates(given, keep_target=before, seconds=seconds, most_pairs=MOST_PAIRS)
-        except OutOfTimeError:
-            deadline = max(problem.deadline, now() + AT_LEAST)
-    if candidates is None:
-        candidates = everything.renumbered(given, np.arange(len(problem.xy)) if row is None else row)
-    plan, _, _ = repair_collisions(candidates, pick(candidates, trim(given, before)), deadline)
-    target_of = candidates.options.target[plan]
-    return Repaired(target_of if row is None else np.append(np.argsort(row), -1)[target_of], candidates.side[plan])
-
-
-def _as_given(problem):
-    """Return the problem with the targets in the order in which they were given."""
-    if problem.row is None:
-        return problem
-    order, reach = np.argsort(problem.row), problem.pairs
-    size = np.diff(reach.indptr)[order]
-    begin = np.cumsum(size) - size
-    pairs = np.repeat(reach.indptr[order] - begin, size) + np.arange(size.sum())
-    names = ("xy", "rank", "kind", "category", "fiber_type", "is_required")
-    return replace(
-        problem,
-        pairs=Reach(np.append(begin, size.sum()), reach.owner[pairs], reach.r2[pairs], reach.n_positioners),
-        watched=None if problem.watched is None else np.append(problem.row, -1)[problem.watched],
-        row=None,
-        **{name: getattr(problem, name)[order] for name in names},
-    )
+    before = lamost_rule(problem).target_of_positioner
+    if whole:
+        candidates = find_candidates(problem, keep_target=before, most_pairs=0)
+        first, seconds = pick(candidates, trim(problem, before)), max(left(problem.deadline), AT_LEAST)
+        with suppress(OutOfTimeError):
+            candidates, plan = repair_nearby(candidates, first, seconds=seconds, most_pairs=MOST_PAIRS)
+            return Repaired(candidates.options.target[plan], candidates.side[plan])
+    deadline = max(problem.deadline, now() + AT_LEAST)
+    plan = repair_collisions(everything, pick(everything, trim(problem, before)), deadline)
+    return Repaired(everything.options.target[plan], everything.side[plan])
 
 
 def local_optimum(problem: AllocationProblem, everything: Candidates) -> Found | None:
@@ -105,7 +82,7 @@ def plan_of(candidates: Candidates, repaired: Repaired, deadline: float) -> tupl
     plan = pick(candidates, *repaired)
     missing = ((plan < 0) & (repaired.target_of >= 0)).any()
     if missing:
-        return repair_collisions(candidates, plan, deadline)[0], False
+        return repair_collisions(candidates, plan, deadline), False
     return np.where(plan < 0, candidates.options.start[1:] - 1, plan), True
 
 

@@ -4,12 +4,23 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
+from rfpsurvey._kernels.eject import Goals, Plan, eject
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import left
-from rfpsurvey.allocation._distribution import add_neighbors, drop_neighbors
+from rfpsurvey.allocation._distribution import add_neighbors, drop_neighbors, drop_unserved, pairs_within
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 
 ROUNDS = 10
+# Rounds of ejection moves, rounds without a better plan after which they end, and probability of a move to an equally
+# good target: for arms that reach beyond the adjacent positioners, for their last stage, in which the sum of the
+# subpriorities counts, and for shorter arms.
+LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS = (100, 20, 0.3), (30, 10, 0.5), (4, 4, 0.3)
+# Mean number of positioners that share targets with a positioner, up to which arms are short: the six adjacent ones.
+ADJACENT = 6
+# Number of rounds before the clock is read again, and first number of the random numbers.
+TOGETHER, SEED = 4, 20
+# Largest number of lost targets of the best class that are tried again with fewer other goals.
+MOST_LOST = 8
 # Number of collisions of candidates that are tested before the clock is read again.
 BATCH = 2_000_000
 # Number of candidates per positioner from which finding the collisions of only some candidates saves time.
@@ -58,12 +69,14 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
     return target_of
 
 
-def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidates, np.ndarray, int, int]:
-    """Return candidates, and the result of `repair_collisions` for them, which is the same as for all candidates.
+def repair_nearby(
+    everything: Candidates, chosen: np.ndarray, *, steady: bool = False, **limits: float
+) -> tuple[Candidates, np.ndarray]:
+    """Return candidates, and the result of `repair_collisions` for them, in less time than for all candidates.
 
-    The collisions of ``everything`` are not yet known. Only positioners that collide, or that have no target of the
-    best class in reach, can change the plan: they can move, or move a positioner that touches them or shares a target
-    with them. Therefore, all other positioners only need the candidates that they use.
+    The collisions of ``everything`` are not yet known. A positioner only needs the candidate that it uses, unless it
+    collides, has no target of the best class in reach, touches a positioner of this kind, or shares a target with it.
+    Exchange moves change no other positioners. ``limits`` are those of `Candidates.with_collisions`.
     """
     options, problem = everything.options, everything.problem
     idle = options.start[1:] - 1
@@ -71,7 +84,7 @@ def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidate
     if len(everything) > CROWDED * len(plan) and not problem.any_goals:
         keep = np.zeros(len(everything), dtype=bool)
         keep[plan] = keep[idle] = True
-        used = everything.where(keep).with_collisions()
+        used = everything.where(keep).with_collisions(**limits)
         now, blocked, _ = stand(used, np.searchsorted(np.flatnonzero(keep), plan))
         active = (blocked[now] > 0) | (options.rank[plan] > _best_rank(options))
         near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
@@ -81,95 +94,201 @@ def repair_nearby(everything: Candidates, chosen: np.ndarray) -> tuple[Candidate
         shared[-1] = False
         near[options.own[shared[options.target]]] = True
         keep |= near[options.own]
-        some = everything.where(keep).with_collisions()
-        found = repair_collisions(some, np.searchsorted(np.flatnonzero(keep), plan), active=active, near=near)
+        some = everything.where(keep).with_collisions(**limits)
+        first = np.searchsorted(np.flatnonzero(keep), plan)
+        found = repair_collisions(some, first, active=active, near=near, steady=steady)
         if found is not None:
-            return some, *found
-    everything = everything.with_collisions()
-    return everything, *repair_collisions(everything, plan)
+            return some, found
+    everything = everything.with_collisions(**limits)
+    return everything, repair_collisions(everything, plan, steady=steady)
 
 
 def repair_collisions(
-    candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf, *, active=None, near=None
-) -> tuple[np.ndarray, int, int] | None:
-    """Return a plan without collisions, the number of moved positioners, and the number of lost targets.
+    candidates: Candidates,
+    chosen: np.ndarray,
+    deadline: float = np.inf,
+    *,
+    active: np.ndarray | None = None,
+    near: np.ndarray | None = None,
+    steady: bool = False,
+) -> np.ndarray | None:
+    """Return a plan without collisions.
 
     If ``near`` is given, it marks the positioners that may move; ``active`` marks those whose neighbors are all in
-    ``near``. None is returned if any other positioner would have to move.
+    ``near``. None is returned if any other positioner would have to move. With ``steady``, targets are not exchanged
+    for equally good targets unless the plan gets better.
 
     A positioner in a collision is moved to a new candidate that is at least as good as its previous candidate. If there
     is no such candidate, the positioner can lose its target. The last candidate of each positioner must be its idle
     arm. A positioner with the value -1 in ``chosen`` begins with its idle arm.
     """
-    options, held = candidates.options, candidates.held
-    groups = candidates.problem.groups
+    options, is_exchange = candidates.options, candidates.problem.options.moves == "exchange"
     chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
     now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
-    # whether each candidate counts toward a minimum
-    counted = held[[group.requirement.minimum > 0 for group in groups]].any(axis=0)
-    most = np.array([np.inf if g.requirement.maximum is None else g.requirement.maximum for g in groups], dtype=float)
-
-    def order():
-        """Return the positioners in the order in which they give up their targets.
-
-        Targets that count toward no minimum are first. Among these targets, and among all other targets, less important
-        targets are first.
-        """
-        return np.lexsort((-options.rank[now], counted[now]))
-
-    counts = _repair(options, order(), now, *state, deadline, active, near)
-    if counts is None:
+    first = _order(candidates, now)
+    if not _repair(options, first, now, *state, deadline, ROUNDS if is_exchange else 0, active, near):
         return None
+    _meet_goals(candidates, now, *state, deadline)
+    if is_exchange:
+        return now
+    now = improve(candidates, now, deadline, near=near, steady=steady)
+    return _recover(candidates, now, deadline) if candidates.problem.any_goals else now
+
+
+def _order(candidates, now):
+    """Return the positioners in the order in which they give up their targets.
+
+    Targets that count toward no minimum are first. Among these targets, and among all other targets, less important
+    targets are first.
+    """
+    return np.lexsort((-candidates.options.rank[now], candidates.counted[now]))
+
+
+def _meet_goals(candidates, now, blocked, holder, deadline):
+    """Change a plan, in place, such that it meets the requirements and rules as far as possible."""
+    state, held, least = (now, blocked, holder), candidates.held, candidates.limits[0]
     for spread in candidates.spreads:
-        add_neighbors(candidates, spread, most, deadline, now, *state)
+        add_neighbors(candidates, spread, deadline, *state)
     count = held[:, now].sum(axis=1)
-    for g, group in enumerate(groups):
-        need = group.requirement.minimum - count[g]
+    for g in range(len(count)):
+        need = least[g] - count[g]
         if need > 0:
-            first = order()
-            first = first[~counted[now[first]]]
-            moves.fill_group(first, need, g, held, count, most, options, now, *state)
+            first = _order(candidates, now)
+            first = first[~candidates.counted[now[first]]]
+            moves.fill_group(first, need, g, held, count, candidates.limits[1], candidates.options, *state)
     for spread in candidates.spreads:
-        add_neighbors(candidates, spread, most, deadline, now, *state)
-    return now, *counts
+        add_neighbors(candidates, spread, deadline, *state)
 
 
-def improve(candidates: Candidates, chosen: np.ndarray, deadline: float = np.inf) -> np.ndarray:
-    """Return a plan without collisions, improved by local moves that give positioners more important targets."""
-    now, *state = stand(candidates, chosen)
-    order = np.argsort(-candidates.options.rank[now], kind="stable")
-    _repair(candidates.options, order, now, *state, deadline)
-    return now
+def _recover(candidates, chosen, deadline):
+    """Return a plan with targets of the best class that a plan lacks, if only few of them are lost to other goals."""
+    options, values, held = candidates.options, candidates.problem.level_values, candidates.held
+    wanted = np.unique(options.target[options.rank == 0])
+    lost = np.setdiff1d(wanted, options.target[chosen])
+    if len(lost) > MOST_LOST:
+        return chosen
+    for c in np.flatnonzero(np.isin(options.target, lost) & (options.rank == 0)):
+        now, blocked, holder = state = stand(candidates, chosen)
+        others = options.own[options.other[options.indptr[c] : options.indptr[c + 1]]]
+        others = np.unique(others[np.isin(now[others], options.other[options.indptr[c] : options.indptr[c + 1]])])
+        if holder[options.target[c]] >= 0 or (np.diff(options.start)[others] == 1).any() or left(deadline) == 0:
+            continue
+        for j in others:
+            moves.put(j, -1, options, *state)
+        moves.put(options.own[c], c, options, *state)
+        for j in others:
+            idle = options.start[j + 1] - 1
+            best = moves.best_free(j, idle, options, *state)
+            moves.put(j, idle if best < 0 else best, options, *state)
+        _meet_goals(candidates, *state, deadline)
+        for spread in candidates.spreads:
+            drop_unserved(candidates, spread, *state)
+        if (blocked[now] > 0).any() or (held[:, now].sum(axis=1) > candidates.limits[1]).any():
+            continue
+        if tuple(values(options.target[now])) > tuple(values(options.target[chosen])):
+            chosen = improve(candidates, now, deadline)
+    return chosen
 
 
-def _repair(options, order, now, blocked, holder, deadline, active=None, near=None):
-    """Remove collisions and assign better targets, in place; return the numbers of moved positioners and lost targets.
+def improve(
+    candidates: Candidates,
+    chosen: np.ndarray,
+    deadline: float = np.inf,
+    *,
+    near: np.ndarray | None = None,
+    steady: bool = False,
+) -> np.ndarray:
+    """Return a plan without collisions, improved by ejection moves; the parameters are those of `repair_collisions`."""
+    options, problem = candidates.options, candidates.problem
+    goals, fixed, order = _goals(candidates), np.diff(options.start) == 1, np.arange(len(chosen))
+    if near is not None:
+        fixed |= ~near
+    plan = _plan(candidates, chosen, goals)
+    plain, progress = goals._replace(worth=np.zeros(len(options.own))), np.array([SEED, 0], dtype=np.uint64)
+    is_long = problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
+    stages = [(plain, *LONG_ARMS)] if is_long else [] if goals.worth.any() else [(plain, *SHORT_ARMS)]
+    if goals.worth.any():
+        stages.append((goals, *(LONG_ARMS_LAST if is_long else SHORT_ARMS)))
+    for some, n_rounds, patience, equal in stages:
+        progress[1] = 0
+        for _ in range(0, n_rounds, TOGETHER):
+            if left(deadline) > 0:
+                eject(TOGETHER, patience, 0.0 if steady else equal, fixed, options, some, plan, order, progress)
+    return plan.chosen
+
+
+def _goals(candidates):
+    """Return what counts in a plan in addition to the classes of targets."""
+    problem, target, spreads = candidates.problem, candidates.options.target, candidates.spreads
+    worth = np.zeros(len(problem.xy)) if problem.subpriority is None else problem.subpriority * problem.science
+    rows = candidates.held_sparse.T.tocsr()
+    indptr, close = [np.zeros((0, len(problem.xy) + 1), dtype=np.int64)], [np.empty(0, dtype=np.int64)]
+    for spread in spreads:
+        first, second = (np.unique(target[some]) for some in (spread.near, spread.science))
+        i, j = pairs_within(problem.xy[first], problem.xy[second], spread.rule.distance_mm)
+        n_close = np.bincount(first[i], minlength=len(problem.xy))
+        indptr.append(sum(map(len, close)) + np.append(0, np.cumsum(n_close))[None])
+        close.append(second[j[np.argsort(i, kind="stable")]])
+    shape = len(spreads), len(target)
+    return Goals(
+        np.append(problem.is_required, False)[target],
+        np.append(worth, 0.0)[target],
+        rows.indptr.astype(np.int64),
+        rows.indices.astype(np.int64),
+        *candidates.limits,
+        len(problem.classes),
+        problem.objective == "count" and len(problem.classes) > 1,
+        np.array([one.science for one in spreads], dtype=bool).reshape(shape),
+        np.array([one.near for one in spreads], dtype=bool).reshape(shape),
+        np.concatenate(indptr),
+        np.concatenate(close),
+        np.array([one.rule.k for one in spreads], dtype=np.int64),
+        np.array([one.rule.percent for one in spreads], dtype=float),
+    )
+
+
+def _plan(candidates, chosen, goals):
+    """Return a plan in the form that ejection moves update."""
+    shape = len(candidates.spreads), len(candidates.problem.xy)
+    n_near, is_used = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
+    for r, spread in enumerate(candidates.spreads):
+        for c in chosen[spread.near[chosen]]:
+            t = candidates.options.target[c]
+            n_near[r, goals.close[goals.close_indptr[r, t] : goals.close_indptr[r, t + 1]]] += 1
+        is_used[r, candidates.options.target[chosen[spread.science[chosen]]]] = True
+    n_served = (is_used & (n_near >= goals.k[:, None])).sum(axis=1)
+    count = candidates.held[:, chosen].sum(axis=1)
+    return Plan(*stand(candidates, chosen), count, n_near, is_used, is_used.sum(axis=1), n_served)
+
+
+def _repair(options, order, now, blocked, holder, deadline, n_rounds, active, near):
+    """Remove collisions and assign better targets in at most ``n_rounds``, in place; return whether this was possible.
 
     After the deadline, each remaining collision is removed by taking the target from one of the positioners, and no
     better targets are assigned. ``active`` and ``near`` are the masks of `repair_collisions`.
     """
-    moved, fixed = 0, np.diff(options.start) == 1
+    fixed = np.diff(options.start) == 1
     if near is not None:
         fixed |= ~near
     for some in _batches(options, order):
         if left(deadline) == 0:
             break
-        moved += int(moves.settle(options, some, fixed, now, blocked, holder))
-    dropped = int(moves.drop(options, order, fixed, now, blocked, holder))
+        moves.settle(options, some, fixed, now, blocked, holder)
+    moves.drop(options, order, fixed, now, blocked, holder)
     if near is not None and (
         (blocked[now] > 0)[~near].any() or (options.rank[now] > _best_rank(options))[~active].any()
     ):
-        return None
+        return False
     parts = _batches(options, order[::-1].copy())
-    for _ in range(ROUNDS):
+    for _ in range(n_rounds):
         changed = False
         for some in parts:
             if left(deadline) == 0:
-                return moved, dropped
+                return True
             changed |= moves.gain(options, some, now, blocked, holder)
         if not changed:
             break
-    return moved, dropped
+    return True
 
 
 def _best_rank(options):

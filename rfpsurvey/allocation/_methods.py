@@ -139,11 +139,11 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     everything = find_candidates(problem, keep_target=before, most_pairs=0)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
     first = pick(everything, trim(problem, before), side)
-    candidates, chosen, moved, dropped = repair_nearby(everything, first)
-    options, had = candidates.options, before >= 0
-    dropped += int((had & (first < 0)).sum())  # removed because of an obstacle or the maximum of a requirement
-    meta = {"n_before": int(had.sum()), "n_moved": moved, "n_dropped": dropped}
-    target_of = options.target[chosen]
+    candidates, chosen = repair_nearby(everything, first, steady=is_plan(problem.options.start))
+    target_of, had = candidates.options.target[chosen], before >= 0
+    worse = problem.rank_of(target_of) > problem.rank_of(before)  # a less important target, or none
+    n_moved, n_dropped = ((had & some).sum() for some in (~worse & (target_of != before), worse))
+    meta = {"n_before": int(had.sum()), "n_moved": int(n_moved), "n_dropped": int(n_dropped)}
     levels = None if problem.any_goals else _bounded(problem, target_of, match(everything))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
@@ -173,11 +173,12 @@ METHODS = table_of(
     Allocator(
         "repair",
         repair,
-        (*_COMMON, "start"),
+        (*_COMMON, "start", "moves"),
         "lamost_rule, followed by local moves that remove collisions",
         avoids_collisions=True,
         counts="goal",
         distribution="goal",
+        breaks_ties=True,
     ),
 )
 """Built-in allocators by name.

@@ -47,8 +47,7 @@ from rfpsurvey.region import Region
 
 SEPARATION = "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky "
 SEPARATION += "such as 10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
-OBJECTIVES = ("priority", "count")
-ONLY_SOME = ("objective", "time_limit", "start")
+ONLY_SOME = ("objective", "time_limit", "start", "moves")
 """Options that have their default values in the record of a plan whose allocator does not use them."""
 # ``repr`` shortens lists of more than this number of values.
 MOST_SHOWN = 20
@@ -115,9 +114,9 @@ class AllocationOptions:
         maximize the sum of the subpriorities after all other objectives (``network_flow`` then does not minimize
         squared distances). Differences between subpriorities are ignored if they are below one millionth of the range
         of the subpriorities. In large fields, or if the time limit ends the search, ``optimal`` finds only an
-        approximate maximum of the sum. ``repair`` tests the targets in the order of subpriority. With subpriorities and
-        unique identifiers, the plan does not depend on the order of targets in the catalog. Without subpriorities,
-        ``optimal`` sorts targets by a hash of their identifiers or, if there are none, of their positions.
+        approximate maximum of the sum, as does ``repair``. With subpriorities and unique identifiers, the plan does not
+        depend on the order of targets in the catalog. Without subpriorities, ``optimal`` and ``repair`` sort targets by
+        a hash of their identifiers or, if there are none, of their positions.
     constraints : list of Constraint or str, optional
         Constraints of any kind, as objects or as text: `KeepOut` or ``keep_out RA DEC RADIUS`` (deg), `Required` or
         ``required ID ...``, `Requirement` or text such as ``sky=20/spectrograph``, and constraints of users and of
@@ -126,6 +125,10 @@ class AllocationOptions:
     rules : str, optional
         Name of rules of the instrument, such as ``dark_monit`` (a design mode of SDSS-V); functions that plan add them
         to the constraints. See `Instrument.rules`.
+    moves : {"ejection", "exchange"}, optional
+        Moves of ``repair``: a positioner takes a better target, and up to four others take other targets (``ejection``)
+        or one other takes an equally good target (``exchange``, which is faster, but loses targets where arms are long;
+        plans of version 0.3).
 
     Raises
     ------
@@ -163,6 +166,7 @@ class AllocationOptions:
     subpriority: int | str | None = None
     constraints: tuple[Constraint, ...] | list | Constraint | str | None = ()
     rules: str | None = None
+    moves: str = "ejection"
 
     def __post_init__(self):
         for name in ("allocator", "start"):
@@ -173,7 +177,8 @@ class AllocationOptions:
                 raise refusal("start must be an Allocation, a Tile or the name of an allocator", self.start, str)
             starts = {name: one for name, one in METHODS.items() if not one.improves}
             find_allocator(self.start, what="allocator to start with", known=starts)
-        check_choice(self.objective, OBJECTIVES, "objective")
+        for name, known in (("objective", ("priority", "count")), ("moves", ("ejection", "exchange"))):
+            check_choice(getattr(self, name), known, name)
         to_scalar(self.time_limit, u.s, "time_limit", low=0)
         if self.sky_separation is not None:
             if not isinstance(self.sky_separation, u.Quantity):
@@ -251,25 +256,21 @@ class AllocationOptions:
         """Identifiers of the targets that take precedence according to any constraint."""
         return tuple(dict.fromkeys(name for one in self.all_constraints for name in one.required_ids))
 
-    def without_counts(self) -> "AllocationOptions":
-        """Return the options without the constraints on numbers of targets.
+    def without(self, name: str) -> "AllocationOptions":
+        """Return the options without the constraints of a kind.
+
+        Parameters
+        ----------
+        name : {"counts", "distributions"}
+            Whether to omit the constraints on numbers of targets, or on the distribution of fibers.
 
         Returns
         -------
         AllocationOptions
-            The options, in which ``counts`` is empty.
+            The options, in which the attribute ``name`` is empty.
         """
-        return replace(self, requirements=(), constraints=[one for one in self.constraints if not one.counts])
-
-    def without_distributions(self) -> "AllocationOptions":
-        """Return the options without the rules on the distribution of fibers.
-
-        Returns
-        -------
-        AllocationOptions
-            The options, in which ``distributions`` is empty.
-        """
-        return replace(self, constraints=[one for one in self.constraints if not one.distributions])
+        kept = {} if name == "distributions" else {"requirements": ()}
+        return replace(self, constraints=[one for one in self.constraints if not getattr(one, name)], **kept)
 
     def check_for_fields(self, what: str) -> None:
         """Raise an error if ``start`` is an allocation, because an allocation is valid for a single field only.
@@ -298,7 +299,7 @@ class AllocationOptions:
     @property
     def method(self) -> Allocator:
         """Record of the allocator: the options that it uses, and properties of its plans."""
-        return find_improving(self.allocator, self.start)
+        return find_improving(self.allocator, self.start, self.moves)
 
     @cached_property
     def seconds(self) -> float:
@@ -329,22 +330,20 @@ class AllocationOptions:
         requirements, separation = self.requirements, self.sky_separation
         if instrument is None and (self._of_instrument or _is_angle(separation)):
             given = "requirements='instrument'" if self._of_instrument else f"sky_separation={separation}"
-            raise InputError(
-                f"{given} can be used only with an instrument; use plan_tile, or pass lengths and requirements"
-            )
+            remedy = "use plan_tile, or pass lengths and requirements"
+            raise InputError(f"{given} can be used only with an instrument; {remedy}")
         if instrument is None and self.rules is not None:
             raise InputError(f"rules={self.rules!r} can be used only with an instrument; use plan_tile")
-        if instrument is None:
-            for one in self.all_constraints:  # raises an error if a constraint requires a catalog
-                one.for_instrument(None)
+        for one in self.all_constraints if instrument is None else ():
+            one.for_instrument(None)  # raises an error if a constraint requires a catalog
         if instrument is None and isinstance(self.subpriority, str):
             raise InputError(
                 f"a column of subpriorities can be used only with a catalog, got {self.subpriority!r}; use "
                 "plan_tile, or pass the values as the argument subpriority of allocate"
             )
         if self.rules is not None:
-            given = (*self.constraints, *instrument.rules(self.rules))
-            return replace(self, constraints=given, rules=None).for_instrument(instrument)
+            options = replace(self, constraints=(*self.constraints, *instrument.rules(self.rules)), rules=None)
+            return options.for_instrument(instrument)
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
         constraints = tuple(one.for_instrument(instrument) for one in self.constraints)
@@ -383,6 +382,7 @@ class AllocationOptions:
             **({"stars": stars} if (stars := [one.content for one in self.constraints if one.content]) else {}),
             **({} if self.subpriority is None else {"subpriority": self.subpriority}),
             **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
+            **({} if self.moves == "exchange" or not self.method.uses("moves") else {"moves": self.moves}),
         }
 
 

@@ -35,9 +35,11 @@ def find_allocator(given: str | Callable, *, what: str = "allocator", known: dic
         return Allocator(**{"name": plugin.name, "function": partial(_ask, plugin), "options": None, **declared})
 
 
-def find_improving(given: str | Callable, start: object) -> Allocator:
+def find_improving(given: str | Callable, start: object, moves: str) -> Allocator:
     """Return an allocator; if it improves the plan of another allocator, it also has the properties of the other."""
     found = find_allocator(given)
+    if found.improves and moves == "exchange":  # plans of version 0.3 depend on the order of targets
+        found = replace(found, breaks_ties=False)
     if found.keeps_plan and is_plan(start):
         return replace(found, options=(*found.options, "start"))
     if not (found.improves and isinstance(start, str)):

@@ -69,8 +69,6 @@ class AllocationProblem:
         decreasing subpriority; the rows of blank positions follow.
     deadline : float, optional
         Time at which the time limit of the plan ends, on the clock of the built-in allocators.
-    row : ndarray of int, shape (n_targets,), optional
-        Row of each target in the order in which the targets were given, if the targets were sorted to break ties.
     motion : Motion, optional
         Motion of the arms, if a constraint requires that they unfold without collisions. The built-in allocators use
         it.
@@ -108,7 +106,6 @@ class AllocationProblem:
     tell: Callable[[float, str], None] | None = None
     subpriority: np.ndarray | None = None
     deadline: float | None = None
-    row: np.ndarray | None = None
     motion: Motion | None = None
 
     def __post_init__(self):

@@ -97,7 +97,7 @@ def decide(
     repaired = found = None
     is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
     if collide and is_long and not is_late and whole and not squared_cost:
-        found = local_optimum(replace(given, row=None), everything)
+        found = local_optimum(given, everything)
     if collide and (is_long or is_late) and found is None:
         repaired = repaired_plan(given, everything, whole)
         if left(deadline) < spent:
@@ -151,7 +151,7 @@ def _without_requirements(problem, **options):
     """
     free = replace(
         problem,
-        options=problem.options.without_counts(),
+        options=problem.options.without("counts"),
         deadline=share(problem.deadline, FOR_FREE),
     )
     if not problem.meets_requirements(lamost_rule(free).target_of_positioner, NEARLY):
@@ -238,7 +238,7 @@ def _refine(used, chosen, bounding, first, bounds, limits, deadline):
                 bound, plan = bound_by_clusters(bounding, prices, weights[k], share(deadline, FOR_FIRST))
                 limits[k] = min(limits[k], _whole(bound))
                 if bounding is used and len(weights) == 1:
-                    chosen = better(repair_collisions(used, plan, deadline)[0])
+                    chosen = better(repair_collisions(used, plan, deadline))
             end = share(deadline, FOR_PRICES)
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
@@ -274,7 +274,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, integral:
 def _plan(candidates, chosen, collide, deadline):
     """Return an initial plan, which has no collisions if ``collide`` is true; positioners without a target are idle."""
     if collide:
-        return repair_collisions(candidates, chosen, deadline)[0]
+        return repair_collisions(candidates, chosen, deadline)
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 

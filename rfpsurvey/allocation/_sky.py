@@ -121,8 +121,6 @@ def with_sky(
         columns["category"] = np.concatenate([problem.category, np.full(k, name)])
     if problem.any_required:
         columns["is_required"] = np.concatenate([problem.is_required, np.zeros(k, dtype=bool)])
-    if problem.row is not None:
-        columns["row"] = np.append(problem.row, np.arange(len(problem.row), len(problem.row) + k))
     if problem.subpriority is not None:
         columns["subpriority"] = np.append(problem.subpriority, np.full(k, problem.subpriority.min(initial=0.0)))
     if plane.fiber_types != ("",):  # any fiber can observe a position without a type: the first one of its positioner

@@ -44,7 +44,7 @@ def decide(problem: AllocationProblem, *, collide: bool, **options) -> Allocatio
     """
     if not problem.distributions:
         return _search.decide(problem, collide=collide, **options)
-    free = replace(problem, options=problem.options.without_distributions())
+    free = replace(problem, options=problem.options.without("distributions"))
     if not collide:
         return _search.decide(free, collide=False, **options)
     answer = _search.decide(replace(free, deadline=share(problem.deadline, FOR_FREE)), collide=True, **options)
@@ -107,7 +107,7 @@ def _first_plans(everything: Candidates, free: AllocationAnswer, upper, is_best,
     """Return plans from which the search can begin, made from a plan without the rules."""
     problem, options = everything.problem, everything.options
     first = pick(everything, free.target_of_positioner, np.where(free.handedness == "left", -1.0, 1.0))
-    plans = [repair_collisions(everything, first, deadline)[0]]
+    plans = [repair_collisions(everything, first, deadline)]
     plan, blocked, _ = stand(everything, np.where(first < 0, options.start[1:] - 1, first))
     if len(everything) <= SMALL or (blocked[plan] > 0).any():
         return plans

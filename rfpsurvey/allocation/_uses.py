@@ -40,7 +40,7 @@ def warn_of_unused_options(
     independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints", "rules")
     given = [*(name for name in given_options(first) if name not in independent), *also]
     given += ["rng"] if is_seed_given(rng) else []
-    known = [find_improving(name, first.start) for name in METHODS]
+    known = [find_improving(name, first.start, first.moves) for name in METHODS]
     warn_of_unused(given, [one.method for one in options], known, "allocator")
     _warn_of_only_checked(options, known)
     if plane is not None and not first.parked_obstacles and not first.motion_law:

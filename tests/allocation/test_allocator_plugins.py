@@ -86,7 +86,7 @@ def test_a_plan_of_others_can_be_repaired(hers):
     """Both arms point in the same direction, and the distance of their tips is 2 mm."""
     xy = [[99, 99], [13, 0], [15, 0]] * u.mm
     assert len(rs.find_collisions(PAIR, rs.allocate(PAIR, xy, allocator="swapped")).pairs) == 1
-    repaired = rs.allocate(PAIR, xy, allocator=rs.AllocationOptions("repair", start="swapped"))
+    repaired = rs.allocate(PAIR, xy, allocator=rs.AllocationOptions("repair", start="swapped", moves="exchange"))
     assert len(rs.find_collisions(PAIR, repaired).pairs) == 0
     assert repaired.meta["n_before"] == 2
 

@@ -171,8 +171,10 @@ def test_repair_starts_from_a_plan_with_subpriorities(rng):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM), rings=4, pitch=22.4 * MM)
     xy, value = rng.uniform(-100, 100, (150, 2)) * MM, rng.random(150)
     start = rs.allocate(plane, xy, allocator="nearest", subpriority=value)
-    given = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start), subpriority=value)
-    named = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start="nearest"), subpriority=value)
+    given, named = (
+        rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=one, moves="exchange"), subpriority=value)
+        for one in (start, "nearest")
+    )
     assert (given.target_of_positioner == named.target_of_positioner).all()
     assert given.meta["n_before"] == start.n_assigned
 

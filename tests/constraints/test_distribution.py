@@ -192,7 +192,7 @@ def test_programs_of_some_positioners_count_the_neighbors_of_all_fibers():
         everything = find_candidates(problem)
         options, rng = everything.options, np.random.default_rng(seed)
         first = np.array([rng.integers(a, b) for a, b in pairwise(options.start)])
-        chosen = repair_collisions(everything, first)[0]
+        chosen = repair_collisions(everything, first)
         if rng.random() < 0.5:
             chosen = drop_neighbors(everything, chosen)
         members = np.flatnonzero(rng.random(len(chosen)) < rng.choice([0.2, 0.5, 1.0]))
