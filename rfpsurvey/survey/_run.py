@@ -48,6 +48,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             len(request.tiling),
             resume=resume,
             state=request.state,
+            of_first_tiles=request.of_first_tiles,
         )
     with where as folder:
         n = len(request.tiling)
