@@ -314,12 +314,30 @@ class FieldBuilder:
         left, rest_rad = self.left if left is None else left, separation_rad(self.options, self._instrument)
         more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": self.around_rad}
         field = self.source.field(center, radius_rad, left, always=self.lasting, **more)
-        columns = field.targets.columns
-        required = None if self.is_required is None else self.is_required[field.slot]
-        if self.lasting is not None:
-            is_done = self.lasting[field.slot] & (left[field.slot] == 0)
-            columns = columns._replace(kind=np.where(is_done, without_science(columns.kind), columns.kind))
-            required = None if required is None else required & ~is_done
-        if required is not None:
-            columns = columns._replace(is_required=required)
+        if self.is_required is not None:
+            columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
+            field = field._replace(targets=field.targets._replace(columns=columns))
+        return field if self.lasting is None else self.in_other_roles(field, left[field.slot] == 0)
+
+    def in_other_roles(self, field: FieldRows, where: np.ndarray) -> FieldRows:
+        """Return a field in which some targets are no longer science targets, and are therefore not required.
+
+        Parameters
+        ----------
+        field : FieldRows
+            The field.
+        where : ndarray of bool
+            Whether this applies to each target of the field, if the target also has other roles (``lasting``).
+
+        Returns
+        -------
+        FieldRows
+            The field.
+        """
+        if self.lasting is None:
+            return field
+        columns, where = field.targets.columns, where & self.lasting[field.slot]
+        columns = columns._replace(kind=np.where(where, without_science(columns.kind), columns.kind))
+        if columns.is_required is not None:
+            columns = columns._replace(is_required=columns.is_required & ~where)
         return field._replace(targets=field.targets._replace(columns=columns))

@@ -8,6 +8,7 @@ import pytest
 from living import events, instrument, tiling
 
 import rfpsurvey as rs
+from rfpsurvey._roles import has_role
 from rfpsurvey.plot import plot_quality
 from rfpsurvey.survey import _run
 
@@ -85,6 +86,27 @@ def test_only_visits_as_a_science_target_are_recorded(tmp_path):
     assert np.array_equal(state.observed, survey.outcomes["observed"])
     rest = rs.plan_survey(catalog, instrument(), tiles, allocator=options, visits=state)
     assert np.array_equal(rest.outcomes["observed"], survey.outcomes["observed"])
+
+
+@pytest.mark.parametrize("allocator", ["repair", "lamost_rule"])
+def test_partly_observed_tiles_keep_the_roles_of_their_targets(tmp_path, allocator):
+    """Regression: a standard of a partly observed tile spent a visit if it was a science target in a later tile."""
+    catalog, tiles = targets(3), rs.Tiling.from_table(tiling(3, n=8).table)
+    allocator = rs.AllocationOptions(allocator, requirements=["standard=5", "sky=1-2"])
+    survey = rs.plan_survey(catalog, instrument(), tiles, allocator=allocator, folder=tmp_path / "survey")
+    whole = [catalog.kind[np.asarray(part["target_row"])] for part in survey]
+    kinds = [np.asarray(part["kind"]).astype(str) for part in survey]
+    n_after = [(one != other).sum() for one, other in zip(whole, kinds, strict=True)]
+    name = survey.tiles["tile"][int(np.argmax(n_after))]
+    survey.record(events(tile=name, date="2026-01-03", state="partly"))
+    kept, options = survey.tile(name), {"folder": survey.folder, "visits": survey.state(catalog), "resume": True}
+    again = rs.plan_survey(catalog, instrument(), tiles, allocator=allocator, **options)
+    assert (again.tile(name) == kept).all()
+    visits = again.targets
+    rows = np.asarray(visits["target_row"])[has_role(np.asarray(visits["kind"]), "science") & visits["observed"]]
+    times = np.bincount(rows, minlength=len(catalog))
+    order = np.searchsorted(catalog.id, np.asarray(again.outcomes["target_id"]))
+    assert np.array_equal(again.outcomes["observed"], times[order])
 
 
 @pytest.mark.parametrize("allocator", ["repair", "nearest"])
