@@ -193,6 +193,9 @@ class FieldBuilder:
         Number of these visits that were already made, in the order of the catalog; by default 0.
     dropped : ndarray of bool, optional
         Whether no visit of each target is requested although it is required, in the order of the catalog.
+    has_cadences : bool, optional
+        Whether ``visits`` are those of cadences. A science target whose cadence has no epochs is then available in its
+        other roles, unless its visits in the catalog are 0.
 
     Attributes
     ----------
@@ -229,6 +232,7 @@ class FieldBuilder:
         *,
         made=None,
         dropped=None,
+        has_cadences=False,
     ):
         self.source, self.options, self._instrument = source, options, instrument
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
@@ -260,7 +264,9 @@ class FieldBuilder:
             if not uses_others:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.left)
-            lasting = science & (kind != "science") & (visits > 0) & uses_others
+            available = source.by_slot("visits") if has_cadences else visits
+            lasting = science & (kind != "science") & uses_others
+            lasting &= True if available is None else (visits > 0) | (available > 0)
             self.lasting = lasting if lasting.any() else None
 
     def spending(self, slot: np.ndarray) -> np.ndarray:

@@ -331,7 +331,8 @@ def make_request(
             f"have a radius of {radius:.4g} deg"
         )
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
-    builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped)
+    has_cadences = others["cadences"] is not None
+    builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped, has_cadences=has_cadences)
     if joint is not None:  # the sets of a joint plan count all fibers of a target as visits
         builder.lasting = None
     others |= {"joint": joint, "state": state, "first": first}

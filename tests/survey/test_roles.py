@@ -5,6 +5,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable, Table
 from living import events, instrument, tiling
 
 import rfpsurvey as rs
@@ -154,3 +155,26 @@ def test_bars_of_fibers_count_each_fiber_once():
     n = np.count_nonzero(kinds == "science+standard")
     assert n > 0
     assert f"science and standard: {n}" in [text.get_text() for text in fibers.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize("visits", [1, 0])
+def test_standards_whose_cadence_has_no_epochs_are_available(visits):
+    """Regression: a science target without epochs could not be used as a standard; with 0 visits, it is not used."""
+    rows = [{"cadence": "none", "delta_min": "", "delta_max": "", "n_exp": ""}]
+    rows += [{"cadence": "once", "delta_min": "0", "delta_max": "0", "n_exp": "1"}]
+    catalog, table = targets(6), tiling(6, n=4).table
+    kind = np.where(np.arange(len(catalog)) % 2, "science+standard", "science")
+    extra = QTable({"cadence": np.where(kind == "science", "once", "none")})
+    numbers = np.where(kind == "science", 1, visits)
+    catalog, table["mjd"] = rs.Catalog(catalog.coord, kind=kind, visits=numbers, extra=extra), 60000.0 + np.arange(4)
+    options = {
+        "visits": rs.survey.Cadences(Table(rows)),
+        "allocator": rs.AllocationOptions(requirements=["standard=2"]),
+    }
+    survey = rs.plan_survey(catalog, instrument(), rs.Tiling.from_table(table), **options)
+    standards = survey.targets[np.asarray(survey.targets["kind"]) == "standard"]
+    assert (len(standards) >= 4) == (visits > 0)
+    assert len(standards) == survey.tiles["n_standard"].sum()
+    rows = np.asarray(standards["target_row"])
+    assert (catalog.kind[rows] == "science+standard").all()
+    assert not survey.outcomes["observed"][np.isin(survey.outcomes["target_id"], standards["target_id"])].any()
