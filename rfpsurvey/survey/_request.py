@@ -333,7 +333,7 @@ def make_request(
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
     has_cadences = others["cadences"] is not None
     builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped, has_cadences=has_cadences)
-    if joint is not None:  # the sets of a joint plan count all fibers of a target as visits
+    if joint is not None and has_cadences:  # these plans count all fibers of a target as visits
         builder.lasting = None
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)
