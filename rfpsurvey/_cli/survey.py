@@ -19,7 +19,7 @@ class SurveyOutputKeys(_groups.OutputKeys):
     folder : Path, optional
         Folder to which the finished tiles are written.
     resume : bool, optional
-        Continue the unfinished survey in the folder.
+        Continue the survey in the folder, which is unfinished, or to which tiles are added after its own.
     replan : bool, optional
         Plan the rest of a survey, whose folder is given in place of the catalog, from the events that were recorded
         (rfpsurvey record). Observed tiles keep their plans. All options have the values of the first plan, unless

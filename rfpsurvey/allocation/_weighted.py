@@ -1,14 +1,16 @@
 """Functions for planning tiles together: lists of candidates, integer programs with weights, and bounds from prices."""
 
+from dataclasses import replace
 from time import time
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import csr_array
+from scipy.sparse import csr_array, hstack
 
 from rfpsurvey._kernels.paths import TOLERANCE
+from rfpsurvey._roles import without_science
 from rfpsurvey.allocation._answer import AllocationAnswer
-from rfpsurvey.allocation._candidates import find_candidates
+from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._prices import ROUNDING, Prices
 from rfpsurvey.allocation._problem import AllocationProblem
@@ -48,12 +50,14 @@ class ListCandidates:
     ----------
     keep_target : ndarray of int, shape (n_positioners,)
         For each positioner, the target that is never omitted, or -1 if there is no such target.
+    reuse : bool, optional
+        Whether to add the candidates of `with_reused`.
     """
 
     counts = distribution = "exactly"
 
-    def __init__(self, keep_target: np.ndarray):
-        self.keep_target = keep_target
+    def __init__(self, keep_target: np.ndarray, *, reuse: bool = False):
+        self.keep_target, self.reuse = keep_target, reuse
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
         """Return an answer that assigns no target and contains all candidates in ``meta``."""
@@ -70,7 +74,57 @@ class ListCandidates:
             (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
             rules_of(found, self.keep_target),
         )
+        if self.reuse:
+            listed = with_reused(listed, found, self.keep_target)
         return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
+
+
+def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) -> TileCandidates:
+    """Return candidates with copies, without the role science, of those of science targets that also have other roles.
+
+    The target of a copy is -2 - t, where t is the row of the target. A copy is in the same cliques as the original,
+    because the poses of the arms are equal; therefore, a plan of the tile observes each target at most once.
+
+    Parameters
+    ----------
+    listed : TileCandidates
+        The candidates.
+    found : Candidates
+        The same candidates, with their problem.
+    planned : ndarray of int, shape (n_positioners,)
+        The target of each positioner in the given plan (see `rules_of`).
+
+    Returns
+    -------
+    TileCandidates
+        The candidates, in which the copies follow the originals of each positioner.
+    """
+    problem, own, n = found.problem, found.options.own, len(found)
+    several = problem.science & (problem.kind != "science")
+    rows = np.flatnonzero(np.append(several, False)[listed.target])
+    if len(rows) == 0:
+        return listed
+    kind, required = np.where(several, without_science(problem.kind), problem.kind), problem.is_required & ~several
+    others = found.renumbered(replace(problem, kind=kind, is_required=required), np.arange(len(kind)))
+    rules, of_copies, is_idle = listed.rules, rules_of(others, planned), np.zeros(n + len(rows), dtype=bool)
+    is_idle[listed.start[1:] - 1] = True
+    copied = np.concatenate([np.arange(n), rows])
+    order = np.lexsort((is_idle, own[copied]))
+    copied, is_copy = copied[order], order >= n
+    shape = len(listed.indptr) - 1, n
+    cliques = csr_array((np.ones(len(listed.column)), listed.column, listed.indptr), shape=shape)[:, copied]
+    cliques.sort_indices()
+    return listed._replace(
+        start=listed.start + np.concatenate([[0], np.cumsum(np.bincount(own[rows], minlength=len(listed.start) - 1))]),
+        target=np.where(is_copy, -2 - listed.target[copied], listed.target[copied]),
+        side=listed.side[copied],
+        indptr=cliques.indptr,
+        column=cliques.indices,
+        rules=rules._replace(
+            matrix=csr_array(hstack([rules.matrix, of_copies.matrix[:, rows]]).tocsc()[:, order]),
+            usable=np.append(rules.usable, of_copies.usable[rows])[order],
+        ),
+    )
 
 
 class GivenPlan:

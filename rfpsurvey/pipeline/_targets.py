@@ -193,6 +193,9 @@ class FieldBuilder:
         Number of these visits that were already made, in the order of the catalog; by default 0.
     dropped : ndarray of bool, optional
         Whether no visit of each target is requested although it is required, in the order of the catalog.
+    has_cadences : bool, optional
+        Whether ``visits`` are those of cadences. A science target whose cadence has no epochs is then available in its
+        other roles, unless its visits in the catalog are 0.
 
     Attributes
     ----------
@@ -229,6 +232,7 @@ class FieldBuilder:
         *,
         made=None,
         dropped=None,
+        has_cadences=False,
     ):
         self.source, self.options, self._instrument = source, options, instrument
         margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
@@ -260,7 +264,9 @@ class FieldBuilder:
             if not uses_others:
                 self.reusable &= self.is_required
             self.left = np.where(self.reusable, np.uint8(1), self.left)
-            lasting = science & (kind != "science") & (visits > 0) & uses_others
+            available = source.by_slot("visits") if has_cadences else visits
+            lasting = science & (kind != "science") & uses_others
+            lasting &= True if available is None else (visits > 0) | (available > 0)
             self.lasting = lasting if lasting.any() else None
 
     def spending(self, slot: np.ndarray) -> np.ndarray:
@@ -314,12 +320,30 @@ class FieldBuilder:
         left, rest_rad = self.left if left is None else left, separation_rad(self.options, self._instrument)
         more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": self.around_rad}
         field = self.source.field(center, radius_rad, left, always=self.lasting, **more)
-        columns = field.targets.columns
-        required = None if self.is_required is None else self.is_required[field.slot]
-        if self.lasting is not None:
-            is_done = self.lasting[field.slot] & (left[field.slot] == 0)
-            columns = columns._replace(kind=np.where(is_done, without_science(columns.kind), columns.kind))
-            required = None if required is None else required & ~is_done
-        if required is not None:
-            columns = columns._replace(is_required=required)
+        if self.is_required is not None:
+            columns = field.targets.columns._replace(is_required=self.is_required[field.slot])
+            field = field._replace(targets=field.targets._replace(columns=columns))
+        return field if self.lasting is None else self.in_other_roles(field, left[field.slot] == 0)
+
+    def in_other_roles(self, field: FieldRows, where: np.ndarray) -> FieldRows:
+        """Return a field in which some targets are no longer science targets, and are therefore not required.
+
+        Parameters
+        ----------
+        field : FieldRows
+            The field.
+        where : ndarray of bool
+            Whether this applies to each target of the field, if the target also has other roles (``lasting``).
+
+        Returns
+        -------
+        FieldRows
+            The field.
+        """
+        if self.lasting is None:
+            return field
+        columns, where = field.targets.columns, where & self.lasting[field.slot]
+        columns = columns._replace(kind=np.where(where, without_science(columns.kind), columns.kind))
+        if columns.is_required is not None:
+            columns = columns._replace(is_required=columns.is_required & ~where)
         return field._replace(targets=field.targets._replace(columns=columns))

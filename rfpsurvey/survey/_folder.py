@@ -1,6 +1,7 @@
 """The folder of a survey, with a file for the result of each tile, which is called the *part* of this tile."""
 
 import hashlib
+import json
 import os
 from collections.abc import Callable
 from datetime import UTC, date, datetime
@@ -33,21 +34,26 @@ class Folder(RequestFolder):
     path : str or path-like
         Path of the folder, which need not exist.
     request : dict
-        The request of the survey; a survey can only be continued with the same request.
+        The request of the survey; a survey can only be continued with the same request, or with further tiles.
     n_tiles : int
         Number of tiles.
     resume : bool
         Whether to continue an unfinished survey.
     state : SurveyState, optional
         State of the survey that is planned; plans of tiles that it does not keep are planned again.
+    of_first_tiles : callable
+        Function that returns the entries of the request for the first tiles, as `Request.of_first_tiles` does.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(self, path: object, request: dict, n_tiles: int, *, resume: bool, state=None):
+    def __init__(
+        self, path: object, request: dict, n_tiles: int, *, resume: bool, of_first_tiles: Callable, state=None
+    ):
         super().__init__(path, request, resume=resume)
         self._n, self._state, self._is_new_state = n_tiles, state, False
+        self._of_first_tiles, self._has_more_tiles = of_first_tiles, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
 
@@ -63,7 +69,16 @@ class Folder(RequestFolder):
                     f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
                     "(or --replan)"
                 )
-            super()._compare(before)
+            own = self._request
+            self._request = own | self._for_tiles_of(before, own)
+            try:
+                super()._compare(before)
+            except InputError as error:
+                n, more = (number_in(str(one.get("tiles"))) for one in (before, self._request))
+                remedy = f", or tiles of which the first {n} are those of this folder in the same order"
+                raise InputError(f"{error}{remedy if more > n else ''}") from None
+            finally:
+                self._request = own
             return
         self._state.check_current()
         now = self._request
@@ -74,6 +89,8 @@ class Folder(RequestFolder):
         if not first:
             first = {name: before.get(name) for name in ("passes", "tiles")}
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
+        own_first = self._for_tiles_of(first, now_first)
+        now_first |= {name: own_first[name] for name in ("passes", "tiles") if name in own_first}
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         is_finished = not self._is_new_state and (self.path / TABLES[0]).is_file()
@@ -91,8 +108,21 @@ class Folder(RequestFolder):
         finally:
             self._request = own | {"planned": self._planned if is_finished else today()}
 
+    def _for_tiles_of(self, before: dict, now: dict) -> dict:
+        """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""
+        tiles = str(before.get("tiles"))
+        found = {} if tiles == now["tiles"] else self._of_first_tiles(tiles)
+        self._has_more_tiles = bool(found)
+        return json.loads(json.dumps(found))
+
     def _read(self):
         super()._read()
+        if self._has_more_tiles and not self._is_new_state:  # the plans remain, but the survey is not finished
+            for name in ABOUT:
+                self._known.pop(name, None)
+            self._write_index((name, entry) for name, entries in self._known.items() for entry in entries)
+            for name in ABOUT:
+                (self.path / name).unlink(missing_ok=True)
         if not self._is_new_state:
             return
         if not self._known and (self.path / TABLES[0]).is_file():
@@ -180,6 +210,12 @@ class Folder(RequestFolder):
         """Write a table of the survey to a file; ``cards`` and ``title`` are those of `write_table`."""
         with self.writing(name) as own:
             write_table(table, own, cards=cards, name=title)
+
+
+def number_in(tiles: str) -> int:
+    """Return the number of tiles in the entry ``tiles`` of a request; 0 for other texts."""
+    number = tiles.partition(" ")[0]
+    return int(number) if number.isdecimal() else 0
 
 
 def today() -> str:

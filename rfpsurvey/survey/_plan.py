@@ -105,8 +105,8 @@ def plan_survey(
         Folder to which the visits of each tile are written as a FITS file. Identifiers and other text must then be
         ASCII, because FITS allows no other characters. Without a folder, the visits of all tiles are kept in memory.
     resume : bool, optional
-        Whether to continue an unfinished survey in the folder. The files of its tiles are verified, and tiles whose
-        files are damaged are planned again.
+        Whether to continue a survey in the folder, which is unfinished, or to which tiles are added after its own. The
+        files of its tiles are verified, and tiles whose files are damaged are planned again.
     executor : concurrent.futures.Executor, optional
         Executor that plans tiles in parallel: threads, processes, or a cluster with ``dask.distributed``.
     progress : bool or callable, optional

@@ -1,7 +1,7 @@
 """The validated request of a survey, that is, its input and its options."""
 
 import json
-from dataclasses import dataclass, field
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import astropy.units as u
@@ -18,6 +18,7 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._cadences import Windows, brightness_of, days_of
+from rfpsurvey.survey._folder import number_in
 from rfpsurvey.survey._history import SurveyState
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
@@ -67,8 +68,8 @@ class Request:
     """The catalog of the first plan as it was given, at its own epoch and without priorities of a rule."""
     cadences: tuple | None = None
     """The cadences, and the row of the cadence of each target in the order of the catalog."""
-    first: dict = field(default_factory=dict)
-    """Tiles and passes before the recorded events, in the form of `identity`."""
+    first: tuple = ()
+    """The tiling and the passes that were given, without the recorded events."""
 
     is_planned = False
     """Whether the plan of each tile is already known."""
@@ -209,17 +210,74 @@ class Request:
             "visits": (number_of(int(self.builder.visits.sum()), "visit"), digest(self.builder.visits)),
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
-        if self.cadences is not None:
-            about["dates"] = (number_of(len(self.days), "tile"), digest(self.days, self.brightness))
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
-        about["tiles"] = tiles_digest(self.tiling, self.conditions)
-        first = {} if self.state is None else {"first": {**self.first, "catalog": self.state.digest}}
-        return {**about, **first, **self._events, **self.parameters, "software": self.software}
+        first = {}
+        if self.state is not None:
+            tiling, passes = self.first
+            tiles = tiles_digest(tiling, conditions_of_tiles(tiling))
+            first = {"first": {"passes": passes, "tiles": tiles, "catalog": self.state.digest}}
+        return {**about, **first, **self._events, **self._of_tiles, "software": self.software}
+
+    @property
+    def _of_tiles(self) -> dict:
+        """The entries of `identity` that can depend on the tiles."""
+        found = {"tiles": tiles_digest(self.tiling, self.conditions), **self.parameters}
+        if self.cadences is not None:
+            found["dates"] = f"{number_of(len(self.days), 'tile')}, digest {digest(self.days, self.brightness)}"
+        return found
+
+    def of_first_tiles(self, tiles: str) -> dict:
+        """Return the entries of `identity` for the first of the given tiles, which were planned before the others.
+
+        Parameters
+        ----------
+        tiles : str
+            The entry ``tiles`` of these tiles.
+
+        Returns
+        -------
+        dict
+            The entries that can depend on the tiles; an empty dict if the first tiles are not those of ``tiles``.
+
+        Raises
+        ------
+        InputError
+            If the plans of the first tiles could depend on the others.
+        """
+        (tiling, passes), n = self.first, number_in(tiles)
+        if not 0 < n < len(tiling):
+            return {}
+        number = _number_of(tiling, passes)
+        own, used = Tiling(tiling.table[:n]), [p for k, p in enumerate(passes) if k in number[:n]]
+        first = replace(self, tiling=own, number=_number_of(own, used), passes=used, state=None, first=(own, used))
+        if tiles_digest(own, first.conditions) != tiles:
+            return {}
+        those = f"the {number_of(n, 'tile')} of the folder"
+        if self.joint is not None and self.state is None:
+            raise InputError(f"tiles of a joint plan, which are planned together, must be {those}, got {len(tiling)}")
+        when, what = (self.days, "MJD") if self.cadences is not None else (number, "pass")
+        early = when[n:] < when[:n].max() if self.cadences is not None else when[n:] <= when[:n].max()
+        if early.any() and (self.cadences is not None or self.order == "color"):
+            row = n + int(np.argmax(early))
+            got = when[row] if self.cadences is not None else passes[number[row]]
+            raise InputError(
+                f"further tiles must be planned after {those}, and therefore have a later {what}, got the {what} {got} "
+                f"for tile {self._names[row]}"
+            )
+        # the targets in the field of a tile, and the order of the tiles, depend on these two numbers
+        if first.margin_rad != self.margin_rad:
+            return {}
+        return first._of_tiles | {"radius_deg": self.parameters["radius_deg"]}
 
     @property
     def _events(self) -> dict:
         """The record of the events; an empty dict if there are none."""
         return {} if self.state is None else {"events": self.state.record}
+
+
+def _number_of(tiling: Tiling, passes: list) -> np.ndarray:
+    """Return the index of the pass of each tile in ``passes``."""
+    return np.array([passes.index(p) for p in np.asarray(tiling.table["pass"]).tolist()])
 
 
 def tiles_digest(tiling: Tiling, conditions: list | None) -> str:
@@ -258,12 +316,12 @@ def make_request(
     rows = np.flatnonzero(np.isin(number, passes))
     if len(rows) == 0:
         raise InputError("the tiling must have at least one tile, got none")
-    tiling, first = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows]), {}
+    tiling = tiling if len(rows) == len(tiling) else Tiling(tiling.table[rows])
+    first = tiling, passes
     if state is not None:
-        first = {"passes": passes, "tiles": tiles_digest(tiling, conditions_of_tiles(tiling))}
         tiling = state.tiling(tiling)
         passes = [*passes, *sorted({*np.asarray(tiling.table["pass"]).tolist()} - {*passes})]
-    place = np.array([passes.index(p) for p in np.asarray(tiling.table["pass"]).tolist()])
+    place = _number_of(tiling, passes)
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)
     if made_for is not None and abs(made_for / radius - 1) > FIELDS_DIFFER:
         name = tiling.summary.get("instrument")
@@ -273,8 +331,9 @@ def make_request(
             f"have a radius of {radius:.4g} deg"
         )
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
-    builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped)
-    if joint is not None:  # the sets of a joint plan count all fibers of a target as visits
+    has_cadences = others["cadences"] is not None
+    builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped, has_cadences=has_cadences)
+    if joint is not None and has_cadences:  # these plans count all fibers of a target as visits
         builder.lasting = None
     others |= {"joint": joint, "state": state, "first": first}
     return Request(builder, tiling, place, passes, instrument, options, **others)

@@ -11,6 +11,7 @@ import numpy as np
 from rfpsurvey import _io
 from rfpsurvey._executors import is_local, submit
 from rfpsurvey._progress import Progress
+from rfpsurvey._roles import has_role
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._finished import read_finished
@@ -48,6 +49,7 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
             len(request.tiling),
             resume=resume,
             state=request.state,
+            of_first_tiles=request.of_first_tiles,
         )
     with where as folder:
         n = len(request.tiling)
@@ -126,8 +128,13 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             own = history.replayed.counts[tile]
             found = counts_in(own, cards) | {"n_observed": history.replayed.n_good[tile]}
         else:
-            job = request.job(tile, np.ones_like(state.left))
-            done = _done_of(history.events.plan(tile, event.plan), job, is_kept=True)
+            job, content = request.job(tile, np.ones_like(state.left)), history.events.plan(tile, event.plan)
+            done = _done_of(content, job, is_kept=True)
+            if request.builder.lasting is not None:  # standards that are also science targets may spend no visit
+                visits = _io.read_fits_bytes(content, f"the plan of tile {event.tile}")[0]
+                others = visits["target_row"][~has_role(visits["kind"], "science")]
+                field = request.builder.in_other_roles(job.field, np.isin(job.field.row, others))
+                job = job._replace(field=field)
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts

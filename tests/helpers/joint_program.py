@@ -47,7 +47,7 @@ class JointProgram:
         plane = instrument.focal_plane
         both = plane.positioner.handedness == "both"
         self.rows, self.low, self.high, self.target, self.tile, of_target = [], [], [], [], [], {}
-        science = np.ones(len(catalog), bool) if catalog.kind is None else catalog.kind == "science"
+        science = np.ones(len(catalog), bool) if catalog.kind is None else np.char.find(catalog.kind, "science") >= 0
         for number, tile in enumerate(tiles):
             place = np.deg2rad([tile.ra.deg, tile.dec.deg, 0.0])
             types = catalog.fiber_type

@@ -5,9 +5,11 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import QTable, Table
 from living import events, instrument, tiling
 
 import rfpsurvey as rs
+from rfpsurvey._roles import has_role
 from rfpsurvey.plot import plot_quality
 from rfpsurvey.survey import _run
 
@@ -87,6 +89,27 @@ def test_only_visits_as_a_science_target_are_recorded(tmp_path):
     assert np.array_equal(rest.outcomes["observed"], survey.outcomes["observed"])
 
 
+@pytest.mark.parametrize("allocator", ["repair", "lamost_rule"])
+def test_partly_observed_tiles_keep_the_roles_of_their_targets(tmp_path, allocator):
+    """Regression: a standard of a partly observed tile spent a visit if it was a science target in a later tile."""
+    catalog, tiles = targets(3), rs.Tiling.from_table(tiling(3, n=8).table)
+    allocator = rs.AllocationOptions(allocator, requirements=["standard=5", "sky=1-2"])
+    survey = rs.plan_survey(catalog, instrument(), tiles, allocator=allocator, folder=tmp_path / "survey")
+    whole = [catalog.kind[np.asarray(part["target_row"])] for part in survey]
+    kinds = [np.asarray(part["kind"]).astype(str) for part in survey]
+    n_after = [(one != other).sum() for one, other in zip(whole, kinds, strict=True)]
+    name = survey.tiles["tile"][int(np.argmax(n_after))]
+    survey.record(events(tile=name, date="2026-01-03", state="partly"))
+    kept, options = survey.tile(name), {"folder": survey.folder, "visits": survey.state(catalog), "resume": True}
+    again = rs.plan_survey(catalog, instrument(), tiles, allocator=allocator, **options)
+    assert (again.tile(name) == kept).all()
+    visits = again.targets
+    rows = np.asarray(visits["target_row"])[has_role(np.asarray(visits["kind"]), "science") & visits["observed"]]
+    times = np.bincount(rows, minlength=len(catalog))
+    order = np.searchsorted(catalog.id, np.asarray(again.outcomes["target_id"]))
+    assert np.array_equal(again.outcomes["observed"], times[order])
+
+
 @pytest.mark.parametrize("allocator", ["repair", "nearest"])
 def test_selection_probabilities_count_visits_as_a_science_target(allocator):
     catalog, tiles = targets(2), rs.Tiling.from_table(tiling(2, n=8).table)
@@ -98,16 +121,18 @@ def test_selection_probabilities_count_visits_as_a_science_target(allocator):
         assert set(found.target_id[found.observed_in(r)].tolist()) == set(observed.tolist())
 
 
-def test_joint_plans_make_no_more_visits_than_requested():
-    """In a joint plan, a target with several roles has a fiber at most as often as its visits are requested."""
+def test_joint_plans_reuse_targets_without_spending_visits():
+    """Regression: in joint plans, targets with several roles could not be used as standards after their visits."""
     catalog, tiles = targets(3), rs.Tiling.from_table(tiling(3, n=8).table)
     options = rs.JointOptions(allocator=rs.AllocationOptions("optimal", requirements=REQUIREMENTS))
     survey = rs.plan_survey(catalog, instrument(), tiles, allocator=options)
-    rows = np.concatenate([np.asarray(visits["target_row"]) for visits in survey])
-    times = np.bincount(rows, minlength=len(catalog))
-    several = np.char.find(catalog.kind, "science") >= 0
+    visits = survey.targets
+    rows, is_science = np.asarray(visits["target_row"]), has_role(np.asarray(visits["kind"]), "science")
+    times = np.bincount(rows[is_science], minlength=len(catalog))
+    several = has_role(catalog.kind, "science")
     assert (times <= catalog.visits)[several].all()
-    assert survey.summary["n_visits_observed"] == times[several].sum()
+    assert several[rows[~is_science]].any()
+    assert survey.summary["n_visits_observed"] == times.sum()
 
 
 def test_required_targets_are_required_only_until_their_visits_are_observed():
@@ -132,3 +157,26 @@ def test_bars_of_fibers_count_each_fiber_once():
     n = np.count_nonzero(kinds == "science+standard")
     assert n > 0
     assert f"science and standard: {n}" in [text.get_text() for text in fibers.get_legend().get_texts()]
+
+
+@pytest.mark.parametrize("visits", [1, 0])
+def test_standards_whose_cadence_has_no_epochs_are_available(visits):
+    """Regression: a science target without epochs could not be used as a standard; with 0 visits, it is not used."""
+    rows = [{"cadence": "none", "delta_min": "", "delta_max": "", "n_exp": ""}]
+    rows += [{"cadence": "once", "delta_min": "0", "delta_max": "0", "n_exp": "1"}]
+    catalog, table = targets(6), tiling(6, n=4).table
+    kind = np.where(np.arange(len(catalog)) % 2, "science+standard", "science")
+    extra = QTable({"cadence": np.where(kind == "science", "once", "none")})
+    numbers = np.where(kind == "science", 1, visits)
+    catalog, table["mjd"] = rs.Catalog(catalog.coord, kind=kind, visits=numbers, extra=extra), 60000.0 + np.arange(4)
+    options = {
+        "visits": rs.survey.Cadences(Table(rows)),
+        "allocator": rs.AllocationOptions(requirements=["standard=2"]),
+    }
+    survey = rs.plan_survey(catalog, instrument(), rs.Tiling.from_table(table), **options)
+    standards = survey.targets[np.asarray(survey.targets["kind"]) == "standard"]
+    assert (len(standards) >= 4) == (visits > 0)
+    assert len(standards) == survey.tiles["n_standard"].sum()
+    rows = np.asarray(standards["target_row"])
+    assert (catalog.kind[rows] == "science+standard").all()
+    assert not survey.outcomes["observed"][np.isin(survey.outcomes["target_id"], standards["target_id"])].any()

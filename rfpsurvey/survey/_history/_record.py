@@ -116,5 +116,7 @@ def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[s
 
 def _present_survey(survey: Survey, folder: Path) -> Survey:
     """Return the survey in a folder, which may have been planned again after ``survey`` was read."""
-    is_present = survey.provenance.get("events") == read_request(folder).get("events")
+    request = read_request(folder)
+    is_present = survey.provenance.get("events") == request.get("events")
+    is_present &= str(request.get("tiles")).startswith(f"{len(survey.tiles)} ")
     return survey if is_present and {*TABLES} <= {*read_index(folder)} else Survey.read(folder)

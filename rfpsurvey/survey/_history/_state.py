@@ -341,10 +341,14 @@ class SurveyState:
         InputError
             If the tiles are not those of the first plan.
         """
-        first = self.events.files[0].n_tiles if self.events.files else len(tiling)
-        if len(tiling) != first:
+        files = self.events.files
+        added = [one.row for file in files for one in file.tiles if one.place and one.row >= file.n_tiles]
+        first = min(added, default=files[-1].n_tiles if files else 0)
+        if len(tiling) < first or (added and len(tiling) > first):
+            remedy = "; record further tiles with the state added" if len(tiling) > first else ""
             raise InputError(
                 f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
+                f"{remedy}"
             )
         if self.states.added:
             tiling = add_tiles(tiling, self.states.added, TileStates(self.events.of_tiles()).dropped)

@@ -7,6 +7,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_vectors
 from rfpsurvey.allocation import TileCandidates, no_rules
 from rfpsurvey.catalog import SkyIndex, to_time
@@ -26,13 +27,17 @@ class FixedTile(NamedTuple):
     """The plan of a tile that was already observed."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target."""
+    """Slot of the target of each positioner (see `TilePlan`); -1 if the positioner has no target."""
     side: np.ndarray
     """Handedness of each positioner: +1 is right, -1 is left."""
     counted: np.ndarray
     """Whether the visit of each positioner counts as an observation."""
     blank_mm: np.ndarray | None = None
     """Position of the blank sky that each positioner observes, in mm; NaN if it observes none."""
+
+    def spends(self, n: int) -> np.ndarray:
+        """Return which positioners use a visit of their target; ``n`` is the number of slots (see `TilePlan`)."""
+        return self.counted & (self.slot < n)
 
 
 def fixed_tiles(request) -> dict[int, FixedTile]:
@@ -77,9 +82,10 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
             )
         own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
         slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
-        slot[own], counted[own] = field.slot[index], np.asarray(visits["observed"]).astype(bool)
-        left[request.builder.spending(slot[counted])] -= 1
-        bad = np.flatnonzero((left[slot[own]] < 0) | ~requested[slot[own]])
+        slot[own] = _with_roles(request.builder, field.slot[index], visits)
+        counted[own] = np.asarray(visits["observed"]).astype(bool)
+        left[request.builder.spending(slot[counted & (slot < len(left))])] -= 1
+        bad = np.flatnonzero((left[field.slot[index]] < 0) | ~requested[field.slot[index]])
         if len(bad):
             raise InputError(
                 "fixed must not have more visits of a target than requested, got too many visits of target "
@@ -114,11 +120,20 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
         field = request.job(tile, every).field
         own = np.array([row_of[one] for one in visits["positioner"].tolist()], dtype=np.int64)
         slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
-        slot[own] = field.slot[np.searchsorted(field.row, visits["target_row"])]
-        counted[own] = visits["observed"].astype(bool) & (left[slot[own]] > 0)
-        left[request.builder.spending(slot[counted])] -= 1
+        base = field.slot[np.searchsorted(field.row, visits["target_row"])]
+        slot[own] = _with_roles(request.builder, base, visits)
+        counted[own] = visits["observed"].astype(bool) & ((left[base] > 0) | (slot[own] != base))
+        left[request.builder.spending(slot[counted & (slot < len(left))])] -= 1
         found[tile] = FixedTile(slot, side, counted)
     return found
+
+
+def _with_roles(builder, slot: np.ndarray, visits) -> np.ndarray:
+    """Return the slots of visits, with the number of all slots added for visits without the role science."""
+    if builder.lasting is None:
+        return slot
+    is_other = builder.lasting[slot] & ~has_role(np.asarray(visits["kind"]).astype(str), "science")
+    return np.where(is_other, slot + len(builder.left), slot)
 
 
 def _check_request(request, survey: Survey) -> None:

@@ -8,8 +8,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._executors import map_in_order
+from rfpsurvey._roles import has_role
 from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_subpriorities
+from rfpsurvey.pipeline import FieldBuilder, FieldRows
 from rfpsurvey.survey._joint._fixed import candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._work import Job, plan_of, projection_of
@@ -21,8 +23,9 @@ class TilePlan(NamedTuple):
     slot: np.ndarray
     """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target.
 
-    The slot of the blank sky position with the index k is -2 - k. These positions do not depend on which targets have
-    remaining visits.
+    The number of all slots is added for a science target that the tile observes only in its other roles (see
+    `FieldBuilder`), without using one of its visits. The slot of the blank sky position with the index k is -2 - k.
+    These positions do not depend on which targets have remaining visits.
     """
     side: np.ndarray
     """Handedness of each positioner: +1 is right, -1 is left."""
@@ -53,7 +56,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
     state, plans, done = request.open_state(), [None] * len(request.tiling), 0
     for tile, observed in fixed.items():
-        state.left[request.builder.spending(observed.slot[observed.counted])] -= 1
+        state.left[request.builder.spending(observed.slot[observed.spends(len(state.left))])] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
         done += 1
     for round_ in request.rounds:
@@ -67,7 +70,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
             slot = np.where(target >= n, n - 2 - target, inside)
             made = np.ones(len(slot), dtype=bool)
             state.enter(job.field, np.zeros(n, dtype=np.uint8), slot, made, request.number[tile], tile)
-            plans[tile] = TilePlan(slot, side)
+            plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
             done += 1
             tell(done)
     return plans
@@ -80,11 +83,11 @@ def list_all(
 
     Also return the subpriority of each target in the order of slots; None if there are no subpriorities.
     """
-    left, given = request.builder.left, request.options.subpriority
-    jobs, slots, n, subpriority = [], [], len(request.tiling), None
+    builder, left, given = request.builder, request.builder.left, request.options.subpriority
+    jobs, slots, n, subpriority, reuse = [], [], len(request.tiling), None, builder.lasting is not None
     for tile in range(n):
         job = request.job(tile, left)
-        slots.append(job.field.slot)
+        slots.append(with_roles(builder, job.field.slot, job.field))
         values = job.field.targets.columns.subpriority
         if given is not None:
             values = to_subpriorities(given, job.field.targets.id, job.field.targets.extra)
@@ -92,16 +95,48 @@ def list_all(
             subpriority = np.zeros(len(left)) if subpriority is None else subpriority
             subpriority[job.field.slot] = values
         if tile in fixed:
+            # a reused target has a slot of its own, in addition to that of the science target
+            slots[-1] = np.append(slots[-1], np.setdiff1d(fixed[tile].slot[fixed[tile].slot >= len(left)], slots[-1]))
             continue
-        keep = _rows(job.field.slot, plans[tile].slot)
-        jobs.append(_with_allocator(request, job.bare(), ListCandidates(keep)))
+        keep = _rows(job.field.slot, without_roles(builder, plans[tile].slot)[0])
+        jobs.append(_with_allocator(request, job.bare(), ListCandidates(keep, reuse=reuse)))
     lists = map_in_order(executor, _list, jobs)
     nowhere = np.zeros((len(request.instrument.focal_plane), 3))  # positioners of fixed tiles are in no patch
     parts = [(candidates_of(fixed[k], slots[k]), nowhere) if k in fixed else next(lists) for k in range(n)]
     tiles, vectors = zip(*parts, strict=True)
     class_of, names = classes_of(request)
-    network = make_network(list(tiles), slots, left, class_of, len(names))
+    if reuse:
+        both = [_with_slots(tile, slot, len(left)) for tile, slot in zip(tiles, slots, strict=True)]
+        tiles, slots = zip(*both, strict=True)
+        left, class_of = np.tile(left, 2), np.append(class_of, np.full(len(left), len(names)))
+    network = make_network(list(tiles), list(slots), left, class_of, len(names))
     return network, np.concatenate(vectors), subpriority
+
+
+def with_roles(builder: FieldBuilder, slot: np.ndarray, field: FieldRows) -> np.ndarray:
+    """Return slots, with the number of all slots added for targets that the field contains only in other roles."""
+    if builder.lasting is None:
+        return slot
+    others = field.slot[builder.lasting[field.slot] & ~has_role(field.targets.columns.kind, "science")]
+    return np.where(np.isin(slot, others), slot + len(builder.left), slot)
+
+
+def without_roles(builder: FieldBuilder, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return slots without the numbers that `with_roles` adds, and whether a number was added."""
+    n = len(builder.left)
+    return np.where(slot >= n, slot - n, slot), slot >= n
+
+
+def _with_slots(tile: TileCandidates, slots: np.ndarray, n: int) -> tuple[TileCandidates, np.ndarray]:
+    """Return the candidates and slots of a tile with a target for the copies of each target (see `with_reused`)."""
+    rows, k = np.unique(-2 - tile.target[tile.target < -1]), len(slots)
+
+    def moved(target):
+        others = np.where(target < k, target, target + len(rows))  # blank sky positions are the last targets
+        return np.where(target < -1, k + np.searchsorted(rows, -2 - target), others).astype(np.int32)
+
+    tile = tile._replace(target=moved(tile.target), pairs=(tile.pairs[0], moved(tile.pairs[1])))
+    return tile, np.append(slots, slots[rows] + n)
 
 
 def classes_of(request) -> tuple[np.ndarray, list[str]]:
@@ -148,7 +183,11 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
 
 def given_plan(request, job: Job, plan: TilePlan) -> Job:
     """Return a copy of the job whose allocator returns the given plan."""
-    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, plan.slot), plan.side, plan.blank_mm))
+    slot, is_other = without_roles(request.builder, plan.slot)
+    if is_other.any():
+        field = request.builder.in_other_roles(job.field, np.isin(job.field.slot, slot[is_other]))
+        job = job._replace(field=field)
+    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, slot), plan.side, plan.blank_mm))
 
 
 def _with_allocator(request, job: Job, allocator: Callable) -> Job:
