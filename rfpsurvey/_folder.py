@@ -121,7 +121,7 @@ class RequestFolder:
                 f"{self.path} holds a {self.work}; continue it with resume=True (or --resume), or give another folder"
             )
         if self._begun:
-            self._compare(_load(self.path / self.request_name))
+            self._compare(load_request(self.path / self.request_name))
             self._read()
         remove_temporary(self.path)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
@@ -265,7 +265,8 @@ def _line(name: str, entry: tuple[int, str]) -> str:
     return f"{name},{entry[0]},{entry[1]}\n"
 
 
-def _load(path: Path) -> dict:
+def load_request(path: Path) -> dict:
+    """Return the request in the file of a folder."""
     try:
         content = content_of(path, most=MOST_REQUEST)
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")

@@ -203,7 +203,7 @@ def _check_same(provenance: dict, request: Request) -> None:
 
     Warn if the plan of the survey was not random.
     """
-    recorded, used = provenance["parameters"], provenance["instrument"]["name"]
+    recorded, used = {"moves": "exchange", **provenance["parameters"]}, provenance["instrument"]["name"]
     if request.instrument.name != used:
         raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
     for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read

@@ -4,15 +4,17 @@ import hashlib
 import json
 import os
 from collections.abc import Callable
+from dataclasses import replace
 from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
 
 from astropy.table import QTable
 
-from rfpsurvey._folder import INDEX, RequestFolder, read_verified
+from rfpsurvey._folder import INDEX, RequestFolder, load_request, read_verified
 from rfpsurvey._io import write_bytes, write_table, written
 from rfpsurvey._readers import content_of, is_present
+from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -255,3 +257,14 @@ def verified(path: Path, digest: str) -> bytes | None:
         return None
     content = content_of(path, most=MOST_FILE)
     return content if hashlib.sha256(content).hexdigest() == digest else None
+
+
+def with_recorded_moves(options: AllocationOptions, folder: object) -> AllocationOptions:
+    """Return the options with which a survey that was begun by version 0.3, which recorded no moves, is continued."""
+    path = None if folder is None else Path(folder) / Folder.request_name
+    if path is None or not is_present(path) or not options.method.uses("moves") or options.moves == "exchange":
+        return options
+    if "moves" in load_request(path):
+        return options
+    warn(f"{folder} was begun with the moves of version 0.3; its tiles are planned with moves='exchange'")
+    return replace(options, moves="exchange")

@@ -27,6 +27,7 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._cadences import Cadences
+from rfpsurvey.survey._folder import with_recorded_moves
 from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits, in_memory
 from rfpsurvey.survey._joint import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
@@ -171,6 +172,7 @@ def plan_survey(
         order=order,
         executor=executor,
         rng=rng,
+        folder=folder if resume else None,
     )
     survey = run(request, folder, executor, progress, resume=resume)
     if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
@@ -194,8 +196,12 @@ def prepare_request(
     visits=None,
     order="color",
     rng=0,
+    folder=None,
 ) -> Request:
-    """Return the validated request of a survey; the parameters are the same as in `plan_survey`."""
+    """Return the validated request of a survey; the parameters are those of `plan_survey`.
+
+    ``folder`` is the folder of an unfinished survey.
+    """
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     state = visits if isinstance(visits, SurveyState) else None
@@ -217,6 +223,7 @@ def prepare_request(
     if cadences is not None and (required := mark_required(asked.required_ids, [catalog.id])) is not None:
         visits = np.where(required, cadences[0].visits(replace(catalog, visits=None)), visits)
     asked.check_for_fields("a survey")
+    asked = with_recorded_moves(asked, folder if state is None else state.folder)
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
         raise InputError(
             f"allocator must be a name, such as the name of an entry point, unless the executor uses threads, got "
