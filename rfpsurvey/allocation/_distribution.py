@@ -52,6 +52,11 @@ def lack_of(problem, rule: Distribution, target_of: np.ndarray) -> int:
     return max(rule.least(len(science)) - n_served, 0)
 
 
+def lost_to_rules(problem, free: np.ndarray, target_of: np.ndarray) -> int:
+    """Return how many more science targets than a plan another plan, which ignores the rules, observes."""
+    return int(sum(sign * problem.science[plan[plan >= 0]].sum() for sign, plan in ((1, free), (-1, target_of))))
+
+
 def pairs_within(first: np.ndarray, second: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:
     """Return the rows of the points ``first`` and ``second`` of all pairs within a distance."""
     from scipy.spatial import cKDTree

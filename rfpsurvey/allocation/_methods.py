@@ -9,6 +9,7 @@ from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
+from rfpsurvey.allocation._distribution import lost_to_rules
 from rfpsurvey.allocation._given import changes_of, is_plan
 from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
@@ -144,6 +145,9 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     worse = problem.rank_of(target_of) > problem.rank_of(before)  # a less important target, or none
     n_moved, n_dropped = ((had & some).sum() for some in (~worse & (target_of != before), worse))
     meta = {"n_before": int(had.sum()), "n_moved": int(n_moved), "n_dropped": int(n_dropped)}
+    if problem.distributions:
+        free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
+        meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
     levels = None if problem.any_goals else _bounded(problem, target_of, match(everything))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 

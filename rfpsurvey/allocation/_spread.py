@@ -10,6 +10,7 @@ from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
 from rfpsurvey.allocation._clusters import improve_by_clusters, improve_members, program_of, upper_of_part
+from rfpsurvey.allocation._distribution import lost_to_rules
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_plans import AT_LEAST, LOCAL, plan_of, repaired_plan, values_of
@@ -100,6 +101,7 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
     values = problem.level_values(target_of)
     levels = levels_of(given, offset, kept, values, np.maximum(upper(values), values))
     meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
+    meta["n_lost_to_rules"] = lost_to_rules(given, free.target_of_positioner, target_of)
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 

@@ -25,6 +25,7 @@ TILE = {
     "n_skipped": "assigned rows without a position",
     "n_positioners": "positioners",
     "n_assigned": "  assigned",
+    "n_lost_to_rules": "  lost to rules on the distribution",
     "n_out_of_reach": "  with a target out of reach",
     "n_within_margins": "  with a target within the margins",
     "margins": "    margins",

@@ -45,6 +45,8 @@ from rfpsurvey.tile._tile import Tile
 
 # Largest number of objectives in a summary; if there are more, one item is the sum of all further classes.
 MOST_OBJECTIVES = 100
+# Fraction of the science targets from which a warning states that rules on the distribution of fibers cost them.
+COSTLY = 0.03
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -190,7 +192,17 @@ def plan_tile(
             f"no positioner of {instrument.name} reaches a {what}; the field around the center "
             f"{center.icrs.to_string('hmsdms', precision=0)} contains {number_of(len(slot), 'target')}"
         )
-    verdicts = [*allocation.counts, *plan.verdicts()]
+    verdicts, kinds = (
+        [*allocation.counts, *plan.verdicts()],
+        counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
+    )
+    n_lost = max(allocation.meta.get("n_lost_to_rules", 0), 0)
+    n_free = n_lost + kinds["science"]["n_assigned"]
+    if n_lost > COSTLY * n_free:
+        warn(
+            f"the rules on the distribution of fibers cost {n_lost} of the {n_free} science targets that a plan "
+            "without these rules observes"
+        )
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
@@ -199,7 +211,8 @@ def plan_tile(
         "n_reachable": allocation.n_reachable,
         "objectives": _objectives(allocation.levels),
         "gap": _known(allocation.gap),
-        "kinds": counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
+        "kinds": kinds,
+        **({"n_lost_to_rules": n_lost} if n_lost else {}),
         **({"rules": [one.record for one in verdicts]} if verdicts else {}),
         "n_required": builder.n_required,
         "n_required_observed": _n_required_observed(plan, targets.columns.is_required),

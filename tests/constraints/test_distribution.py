@@ -1,5 +1,6 @@
 """Plans that follow rules on the distribution of fibers, compared with an independent integer program."""
 
+import warnings
 from itertools import pairwise
 
 import astropy.units as u
@@ -228,3 +229,26 @@ def test_a_plan_without_time_is_valid_and_states_its_gap():
         compare(scene, tile, values, scene.best())
         gaps.append(tile.summary["gap"])
     assert max(gaps) > 0
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal"])
+def test_a_plan_states_the_targets_that_rules_cost(allocator):
+    """The two sky positions cannot serve 95 % of the field, so that ``optimal`` gives up nearly all science targets."""
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 0.5 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=20 * u.mm)
+    instrument = rs.Instrument("small", plane, plate_scale=100 * u.mm / u.deg)
+    offsets = np.random.default_rng(1).uniform(-1.05, 1.05, (400, 2)) * u.deg
+    kind = np.where(np.arange(400) < 2, "sky", "science")
+    catalog = rs.Catalog(SkyCoord(30 * u.deg + offsets[:, 0], offsets[:, 1]), kind=kind)
+    options = rs.AllocationOptions(allocator, constraints=["distribution sky 1 95 20"])
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        tile = rs.plan_tile(catalog, instrument, SkyCoord(30, 0, unit="deg"), allocator=options)
+    free = rs.plan_tile(catalog, instrument, SkyCoord(30, 0, unit="deg"), allocator=allocator)
+    n, most = (one.summary["kinds"]["science"]["n_assigned"] for one in (tile, free))
+    assert tile.summary.get("n_lost_to_rules", 0) == most - n
+    texts = [str(one.message) for one in found if "cost" in str(one.message)]
+    text = f"the rules on the distribution of fibers cost {most - n} of the {most} science targets"
+    assert len(texts) == (most - n > 0.03 * most)
+    assert all(one.startswith(text) for one in texts)
+    assert allocator == "repair" or texts
