@@ -112,9 +112,9 @@ def differences(nominal, built):
         share = one.coverage(n_points=N_POINTS)
         mean = (share * np.arange(len(share))).sum()
         print(f"{name}: in reach {1 - share[0]:.4f}, of several {share[2:].sum():.4f}, multiplicity {mean:.4f}")
-    for name, one in {"nominal lattice": nominal, "as built": built}.items():
+    for name, one in {"nominal lattice": nominal, "centers from dots": bare, "as built": built}.items():
         found = rs.collision_probability(one, precision=0.0003, rng=1)
-        print(f"{name}: {found}")
+        print(f"{name}: collision probability {found.value:.4f} +- {found.standard_error:.4f}")
     print()
 
 

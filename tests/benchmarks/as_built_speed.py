@@ -53,7 +53,7 @@ def work(instrument):
         "plan_tile, optimal": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="optimal"),
         "survey of 20 tiles": survey,
         "probability, conditional": lambda: rs.collision_probability(
-            plane, precision=Precision(standard_error=0.0005), rng=1, progress=False
+            plane, method="conditional", precision=Precision(standard_error=0.0005), rng=1, progress=False
         ),
         "probability, quadrature": lambda: rs.collision_probability(
             plane, method="quadrature", precision=Precision(standard_error=0.0005), rng=1, progress=False

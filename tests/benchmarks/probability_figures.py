@@ -45,7 +45,7 @@ def compare(plane):
 
     runs = medians(
         estimate(method="monte_carlo", precision=Precision(max_iterations=640)),
-        estimate(precision=Precision(max_iterations=32)),
+        estimate(method="conditional", precision=Precision(max_iterations=32)),
     )
     numbers, times = [], []
     for method, size, (seconds, found) in zip(("monte_carlo", "conditional"), (640, 32), runs, strict=True):
@@ -56,15 +56,16 @@ def compare(plane):
             f"{STANDARD_ERROR:g}: {times[-1]:.3f} s"
         )
     print(f"  ratio: {numbers[0] / numbers[1]:.0f} in number, {times[0] / times[1]:.0f} in time")
-    ((seconds, found),) = medians(estimate(precision=STANDARD_ERROR))
-    n = np.median([e.n for e in found])
-    print(f"  conditional with precision {STANDARD_ERROR:g}: {seconds:.3f} s, {n:.0f} realizations")
+    both = medians(estimate(method="conditional", precision=STANDARD_ERROR), estimate(precision=STANDARD_ERROR))
+    for name, (seconds, found) in zip(("conditional", "auto"), both, strict=True):
+        n = np.median([e.n for e in found])
+        print(f"  {name} with precision {STANDARD_ERROR:g}: {seconds:.3f} s, {n:.0f} realizations")
     value = rs.collision_probability(plane, method="quadrature").value
-    ((seconds, found),) = medians(estimate(method="quadrature", precision=1e-3 * value))
+    ((seconds, found),) = medians(estimate(method="quadrature", targets="uniform", precision=1e-3 * value))
     error = max(e.standard_error / e.value for e in found)
     print(f"  quadrature to 1e-3: {seconds:.3f} s, {found[0].value:.5f}, largest relative standard error {error:.1e}")
     options = {"targets": RandomTargets(number=len(plane)), "precision": Precision(max_iterations=256)}
-    sparse = medians(estimate(**options), estimate(method="monte_carlo", **options))
+    sparse = medians(estimate(method="conditional", **options), estimate(method="monte_carlo", **options))
     worth = [np.mean([e.standard_error**2 for e in found]) * seconds for seconds, found in sparse]
     print(f"  {len(plane)} targets: conditional takes {worth[0] / worth[1]:.2f} times as long to a precision")
 

@@ -2,6 +2,8 @@
 
 import csv
 import dataclasses
+import importlib
+import importlib.metadata
 import importlib.util
 import os
 import re
@@ -9,6 +11,7 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from types import ModuleType, SimpleNamespace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -223,6 +226,49 @@ def test_a_program_that_is_not_installed_is_skipped_with_the_reason(name, small,
     out = command(monkeypatch, capsys, small, "--program", name)
     assert f"{name}: skipped, " in out
     assert reason in out
+
+
+@pytest.fixture
+def netflow(monkeypatch):
+    """Return the driver of netflow, with empty modules instead of netflow, cobraOps and PuLP, which need not exist."""
+    names = ["ets_fiber_assigner", "ics", "ics.cobraOps", "ics.cobraOps.Bench", "pandas", "pulp"]
+    names += ["ics.cobraCharmer", "ics.cobraCharmer.cobraCoach"]
+    for name in names:
+        monkeypatch.setitem(sys.modules, name, ModuleType(name))
+    kinds = dict.fromkeys(("ScienceTarget", "CalibTarget"), lambda *values: values)
+    sys.modules["ets_fiber_assigner"].netflow = SimpleNamespace(**kinds)
+    sys.modules["ics.cobraOps.Bench"].Bench = None
+    monkeypatch.setattr(importlib.metadata, "version", lambda name: "0")
+    monkeypatch.delitem(sys.modules, "pfs_netflow", raising=False)
+    yield importlib.import_module("pfs_netflow")
+    sys.modules.pop("pfs_netflow")
+
+
+@pytest.mark.parametrize(("classes", "requirements"), [(5, False), (6, False), (3, True), (4, True)])
+def test_netflow_refuses_more_classes_than_its_costs_can_order(classes, requirements, netflow, presets, monkeypatch):
+    """The limits are 5 classes, or 3 with calibration targets: each class costs 100 times as much as the next one."""
+    plane = presets["lamost"].focal_plane
+    part = rs.FocalPlane(plane.xy[:7], plane.positioner, id=plane.id[:7])
+    instrument = rs.Instrument("small", part, plate_scale=presets["lamost"].plate_scale)
+    scene = scenes.scene_of(instrument, scenes.in_circle(instrument, 12, 1), name="small")
+    scene.targets["priority"] = np.arange(12.0) % classes
+    scene.settings["requirements"] = [{"what": "sky", "minimum": 1, "per": "tile"}] if requirements else []
+
+    class BuildError(Exception):
+        """The scene was accepted, and the integer program is to be built."""
+
+    def build(*arguments, **options):
+        raise BuildError
+
+    monkeypatch.setattr(netflow, "bench_of", lambda scene: None)
+    netflow.netflow.buildProblem = build
+    most = 3 if requirements else 5
+    if classes <= most:
+        with pytest.raises(BuildError):
+            netflow.plan(scene, 1.0)
+    else:
+        with pytest.raises(NotImplementedError, match=f"^the number of .* must be at most {most}, got {classes}$"):
+            netflow.plan(scene, 1.0)
 
 
 def test_tiles_are_planned_one_after_the_other_without_targets_that_have_a_fiber(presets):

@@ -284,7 +284,8 @@ def test_an_empty_catalog_has_no_mean_direction():
     ("options", "expected"),
     [
         ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
-        ({"targets": "uniform", "n_targets": 16}, "monte_carlo, since there are fewer than 2.5 targets per"),
+        ({"targets": "uniform", "n_targets": 14}, "conditional, the cheapest method with an error estimate"),
+        ({"targets": "uniform", "n_targets": 13}, "monte_carlo, since there are fewer than 2 targets per"),
         (
             {"targets": "uniform", "n_targets": 200},
             "conditional, the cheapest method with an error estimate if positioners have queues of targets, with at "

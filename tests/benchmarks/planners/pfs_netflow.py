@@ -104,8 +104,9 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
         raise NotImplementedError("numbers of targets per spectrograph or category are not translated")
     kinds, priority = np.asarray(t["kind"], dtype=str), np.asarray(t["priority"], dtype=float)
     classes = sorted(set(priority[kinds == "science"]))
-    if len(classes) > (MOST_CLASSES_RULES if s["requirements"] else MOST_CLASSES):
-        raise NotImplementedError(f"costs of {len(classes)} classes would exceed the costs of rules")
+    most = MOST_CLASSES_RULES if s["requirements"] else MOST_CLASSES
+    if len(classes) > most:
+        raise NotImplementedError(f"the number of priority classes must be at most {most}, got {len(classes)}")
     costs = {f"{k}_P{k}": 10.0 * 100.0**k for k in range(len(classes))}  # netflow uses two characters in names
     costs = {
         name: {"nonObservationCost": c, "partialObservationCost": 1e9, "calib": False} for name, c in costs.items()
