@@ -8,13 +8,15 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.hashing import GOLDEN, UNIT, mix
+from rfpsurvey._kernels.hashing import GOLDEN, mix
 
 NONE = np.int64(-1)
 # Largest numbers of positioners that lose their candidates at the start of a move, and of steps of a move.
 MOST_BLOCKERS, MOST_STEPS = 4, 64
 # Weight of a required target in comparisons of two candidates, which is larger than any number of requirements.
 REQUIRED = 1 << 40
+# Number of values of the random number that is compared with a probability.
+MANY = 1 << 30
 # Differences of sums of subpriorities up to this number are rounding errors.
 EQUAL = 1e-12
 
@@ -269,10 +271,10 @@ def attempt(i, c, steady, fixed, options, goals, plan, move, blockers):
 
 
 @kernel
-def draw(progress):
-    """Return the next random number."""
+def draw(n, progress):
+    """Return the next random whole number from 0 to n - 1."""
     progress[0] += GOLDEN
-    return mix(progress[0])
+    return np.int64(((mix(progress[0]) >> np.uint64(32)) * np.uint64(n)) >> np.uint64(32))
 
 
 @kernel
@@ -302,19 +304,19 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, order, progres
             break
         progress[1] += np.uint64(1)
         for k in range(order.size):
-            m = k + np.int64(draw(progress) % np.uint64(order.size - k))
+            m = k + draw(order.size - k, progress)
             i = order[m]
             order[m], order[k] = order[k], i
             if fixed[i]:
                 continue
-            now, picked, n = plan.chosen[i], NONE, np.uint64(0)
-            last = rank[now] - 1 + ((draw(progress) >> np.uint64(11)) * UNIT < equal)
+            now, picked, n = plan.chosen[i], NONE, 0
+            last = rank[now] - 1 + (draw(MANY, progress) < equal * MANY)
             for c in range(start[i], start[i + 1]):
                 if c == now or options.target[c] < 0:
                     continue
                 if rank[c] <= last or (lack > 0 and filled(c, now, goals, count) > 0) or goals.required[c]:
-                    n += np.uint64(1)
-                    if draw(progress) % n == 0:
+                    n += 1
+                    if draw(n, progress) == 0:
                         picked = c
             if picked >= 0 and attempt(i, picked, equal == 0, fixed, options, goals, plan, move, blockers) > 0:
                 lack -= move.sums[2]

@@ -264,7 +264,8 @@ def with_recorded_moves(options: AllocationOptions, folder: object) -> Allocatio
     path = None if folder is None else Path(folder) / Folder.request_name
     if path is None or not is_present(path) or not options.method.uses("moves") or options.moves == "exchange":
         return options
-    if "moves" in load_request(path):
+    recorded = load_request(path)
+    if "moves" in recorded or recorded.get("allocator") != options.name:
         return options
     warn(f"{folder} was begun with the moves of version 0.3; its tiles are planned with moves='exchange'")
     return replace(options, moves="exchange")

@@ -73,6 +73,7 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
         "time_limit": 60,
         "start": "lamost_rule",
         "parked_obstacles": True,
+        "moves": "ejection",
     }
     expected |= {"workers": 1, "processes": False, "order": "color", "lost_in_collision": True}
     expected["catalog"] = {"frame": "icrs"}

@@ -18,6 +18,7 @@ from rfpsurvey.allocation._local_search import repair_collisions, stand
 from rule_scenes import CENTER, MM, Scene
 
 CHUNK, N_SCENES = 25, 500
+pytestmark = pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
 
 
 def checked(scene, tile):
@@ -231,6 +232,7 @@ def test_a_plan_without_time_is_valid_and_states_its_gap():
     assert max(gaps) > 0
 
 
+@pytest.mark.filterwarnings("default:the rules on the distribution of fibers cost")
 @pytest.mark.parametrize("allocator", ["repair", "optimal"])
 def test_a_plan_states_the_targets_that_rules_cost(allocator):
     """The two sky positions cannot serve 95 % of the field, so that ``optimal`` gives up nearly all science targets."""

@@ -235,6 +235,7 @@ def test_stars_outside_the_field_exclude_targets_at_its_edge(sky, small):
 
 
 @pytest.mark.filterwarnings("ignore:.*no allocator honors it")
+@pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
 def test_rules_of_a_tile_are_kept_in_files(sky, small, tmp_path):
     tile = plan(sky, small, ["magnitude mag 12 inf", "sky=5", "distribution sky 2 99.9 3"])
     assert tile.rules["verdict"].tolist() == ["pass", "pass", "fail"]

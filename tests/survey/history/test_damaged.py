@@ -100,7 +100,7 @@ def test_other_tiles_instruments_and_options(case, folder):
         ),
         ((sky, tiny, table), {}, "holds another survey: tiles differs"),
         ((sky, OTHER, tiles), {}, "holds another survey: instrument"),
-        (case, {"allocator": "repair"}, "holds another survey: allocator differs"),
+        (case, {"allocator": "repair"}, "holds another survey: allocator, moves, tie_seed differ"),
         (case, {"rng": 1}, "holds another survey: rng differs"),
         (case, {"order": "given"}, "holds another survey: order differs"),
         (case, {"passes": [1]}, "must be the 6 tiles of the first plan, got 3"),
