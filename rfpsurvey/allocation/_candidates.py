@@ -61,6 +61,11 @@ class Candidates:
             found.__dict__["segments"] = np.compress(keep, self.segments, axis=1)
         return found
 
+    def for_problem(self, problem: AllocationProblem) -> "Candidates":
+        """Return the candidates for a problem in which only the roles of the targets differ."""
+        o = self.options
+        return _assemble(problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, self.pairs)
+
     @cached_property
     def spreads(self) -> list[Spread]:
         """The candidates that each rule on the distribution of fibers concerns."""

@@ -105,7 +105,7 @@ def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) 
     if len(rows) == 0:
         return listed
     kind, required = np.where(several, without_science(problem.kind), problem.kind), problem.is_required & ~several
-    others = found.renumbered(replace(problem, kind=kind, is_required=required), np.arange(len(kind)))
+    others = found.for_problem(replace(problem, kind=kind, is_required=required))
     rules, of_copies, is_idle = listed.rules, rules_of(others, planned), np.zeros(n + len(rows), dtype=bool)
     is_idle[listed.start[1:] - 1] = True
     copied = np.concatenate([np.arange(n), rows])
