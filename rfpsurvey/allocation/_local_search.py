@@ -14,7 +14,7 @@ ROUNDS = 10
 # Rounds of ejection moves, rounds without a better plan after which they end, and probability of a move to an equally
 # good target: for arms that reach beyond the adjacent positioners, for their last stage, in which the sum of the
 # subpriorities counts, and for shorter arms.
-LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS = (100, 20, 0.3), (30, 10, 0.5), (2, 2, 0.1)
+LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS = (100, 20, 0.3), (30, 10, 0.5), (3, 3, 0.1)
 # Mean number of positioners that share targets with a positioner, up to which arms are short: the six adjacent ones.
 ADJACENT = 6
 # Number of rounds before the clock is read again, and first number of the random numbers.
