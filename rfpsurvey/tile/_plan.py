@@ -47,6 +47,8 @@ from rfpsurvey.tile._tile import Tile
 MOST_OBJECTIVES = 100
 # Fraction of the science targets from which a warning states that rules on the distribution of fibers cost them.
 COSTLY = 0.03
+# Objectives that include the targets of all classes.
+TOTALS = "any target", "subpriorities"
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -273,14 +275,14 @@ def _objectives(levels: list) -> list:
     """Return the name, value and bound of each objective.
 
     If there are more than ``MOST_OBJECTIVES`` objectives, one item is the sum of all further classes. The number of
-    targets of any kind, which includes all classes, remains the last item.
+    targets of any kind and the sum of the subpriorities, which include all classes, remain the last items.
     """
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows
-    rows, total = (rows[:-1], rows[-1:]) if rows[-1][0] == "any target" else (rows, [])
+    total = [row for row in rows[-2:] if row[0] in TOTALS]
     n = MOST_OBJECTIVES - 1 - len(total)
-    rest = rows[n:]
+    rest = rows[n : len(rows) - len(total)]
     return [*rows[:n], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None], *total]
 
 
