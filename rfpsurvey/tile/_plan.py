@@ -205,6 +205,8 @@ def plan_tile(
             f"the rules on the distribution of fibers cost {n_lost} of the {n_free} science targets that a plan "
             "without these rules observes"
         )
+    if options.method.uses_priorities and (text := _lost_class(allocation, targets.columns)):
+        warn(text)
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
@@ -263,6 +265,20 @@ def _refuse_empty(builder: FieldBuilder, n: int) -> None:
     remedy = "requirements such as 'sky=20' also assign targets of other kinds"
     remedy = remedy if builder.visits[:n].any() else "the column of visits states 0 for all of them"
     raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
+
+
+def _lost_class(allocation, columns) -> str:
+    """Return a text if no target of the highest priority is assigned, although at least one is in reach."""
+    n = allocation.n_given
+    science = np.ones(n, dtype=bool) if columns.kind is None else has_role(columns.kind, "science")
+    rows = np.flatnonzero(science & allocation.in_reach[:n])
+    if columns.priority is None or len(rows) == 0:
+        return ""
+    highest = columns.priority[rows].max()
+    rows = rows[columns.priority[rows] == highest]
+    if highest == columns.priority[science].min() or (allocation.positioner_of_target[rows] >= 0).any():
+        return ""
+    return f"no target of the highest priority ({highest:g}) has a fiber; {number_of(len(rows), 'target')} in reach"
 
 
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
