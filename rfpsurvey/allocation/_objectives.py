@@ -135,6 +135,6 @@ def with_subpriorities(
     bound = worth[best[place < n[rank[best]]]].sum()
     most, size = scale_of(problem)
     error = len(target_of) * (10.0**-DIGITS * size + ROUNDING * (abs(most) + size))
-    bound = min(bound, n.sum() * most - size * least + error)
+    bound = float(min(bound, n.sum() * most - size * least + error))
     # costs are rounded, and the solver ignores differences of this size
     return [*levels, Level(SUBPRIORITIES, value, value if bound <= value + 3 * error else bound)]

@@ -9,7 +9,9 @@ from astropy.table import QTable
 import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
+from rfpsurvey.allocation._lexicographic import _Pursuit
 from rfpsurvey.report import tile_objectives
+from rule_scenes import CENTER, Scene
 from scenes import random_scene
 
 MM = u.mm
@@ -65,25 +67,84 @@ def test_no_plan_with_the_same_numbers_of_targets_exceeds_the_bound(chunk):
     assert n_unproven > 0
 
 
-def test_the_sum_of_an_unfinished_search_is_not_reported_as_proven():
-    """Regression: plans of two time limits had different sums, although the gap of both plans was 0."""
-    plane, rng = (
-        rs.FocalPlane.hexagonal(rs.Positioner(6 * MM, 6 * MM, 1.2 * MM), rings=6, pitch=10 * MM),
-        np.random.default_rng(1),
-    )
+def test_the_sum_is_the_largest_of_plans_that_follow_rules_on_the_distribution_of_fibers():
+    n_searched = 0
+    for seed in range(12):
+        scene = Scene(seed)
+        worth = rs.allocation.subpriorities(scene.sky.id, 1)
+        plans = []
+        for limit in (60, 1e-6):
+            allocator = scene.options("optimal", subpriority=1, time_limit=limit * u.s)
+            tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=allocator)
+            plans.append(tile.summary["objectives"])
+            used = np.isin(scene.sky.id, tile["target_id"][tile["status"] == "assigned"]) & (scene.kind == "science")
+            assert plans[-1][-1][1] == pytest.approx(worth[used].sum()), seed
+            n_searched += tile.summary["search"]["model"] == "integer program"
+        best = dict(zip([*scene.names, "subpriorities"], scene.best(worth), strict=True))
+        names = [name for name, _, _ in plans[0]]
+        error = ERROR * len(scene.plane) + 1e-4  # the values of the oracle are rounded
+        assert [value for _, value, _ in plans[0]] == pytest.approx([best.get(name, 0.0) for name in names], abs=error)
+        assert plans[0][-1][1] == plans[0][-1][2], seed
+        if [one[1] for one in plans[0][:-1]] == [one[1] for one in plans[1][:-1]]:
+            assert plans[1][-1][2] >= best["subpriorities"] - error, seed
+    assert n_searched > 3
+
+
+@pytest.fixture
+def scene():
+    rng = np.random.default_rng(1)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(6 * MM, 6 * MM, 1.2 * MM), rings=6, pitch=10 * MM)
     n = 3 * len(plane)
-    xy, subpriority = rng.uniform(-66, 66, (n, 2)), rng.random(n)
+    xy, subpriority = rng.uniform(-66, 66, (n, 2)) * MM, rng.random(n)
     kind = np.where(rng.random(n) < 0.2, "sky", "science")
+    return plane, xy, {"subpriority": subpriority, "kind": kind}
+
+
+def test_the_sum_of_an_unfinished_search_is_not_reported_as_proven(scene):
+    """Regression: plans of two time limits had different sums, although the gap of both plans was 0."""
+    plane, xy, columns = scene
     best, n_unproven = None, 0
     for limit in (60, 0.4, 0.2, 0.1, 0.05):
         options = rs.AllocationOptions("optimal", time_limit=limit * u.s, requirements=["sky=10"])
-        plan = rs.allocate(plane, xy * MM, allocator=options, kind=kind, subpriority=subpriority)
+        plan = rs.allocate(plane, xy, allocator=options, **columns)
         value = plan.levels[-1].value
         best = value if best is None else best
-        assert value == pytest.approx(sum_of_science(plan, kind, subpriority))
+        assert value == pytest.approx(sum_of_science(plan, columns["kind"], columns["subpriority"]))
         n_unproven += plan.gap > 0
         assert plan.gap > 0 or value == pytest.approx(best, abs=ERROR * len(plane)), limit
     assert n_unproven > 0
+
+
+def test_the_bound_of_the_solver_is_used_if_it_ends_before_the_best_plan(monkeypatch, rng):
+    """The search is divided into independent parts; the last plan of the solver can be worse than the first one."""
+    monkeypatch.setattr("rfpsurvey.allocation._search.SMALLEST", 1)
+    unit, maximize = rs.Positioner(6 * MM, 6 * MM, 1.8 * MM), _Pursuit.maximize
+    one = rs.FocalPlane.hexagonal(unit, rings=3, pitch=10 * MM).xy.to_value(MM)
+    plane = rs.FocalPlane(np.concatenate([one, one + [200, 0]]) * MM, unit)
+    n = 3 * len(plane)
+    xy = (rng.uniform(-35, 35, (n, 2)) + 200 * np.column_stack([np.arange(n) % 2, np.zeros(n)])) * MM
+    columns = {"kind": rng.choice(["science", "sky"], n, p=[0.8, 0.2]), "subpriority": rng.normal(0, 10, n)}
+
+    def plan(answer):
+        def stopped(self, goal, keep, deadline, gap=0.0):
+            x, bound = maximize(self, goal, keep, deadline, gap)
+            return answer(self, x, bound) if np.array_equal(goal, -self.program.costs) else (x, bound)
+
+        monkeypatch.setattr(_Pursuit, "maximize", stopped)
+        return rs.allocate(plane, xy, allocator="optimal", **columns)
+
+    best = plan(lambda self, x, bound: (x, bound))
+    none = plan(lambda self, x, bound: (None, bound))
+    worst = plan(lambda self, x, bound: (maximize(self, self.program.costs, self.solved, np.inf)[0], bound))
+    assert best.gap == 0
+    assert best.meta["n_parts"] > 1
+    assert worst.levels[-1].value >= none.levels[-1].value
+    for found in (none, worst):
+        assert found.levels[:-1] == best.levels[:-1]
+        assert found.gap > 0
+        # costs are rounded to one millionth of the range
+        error = ERROR * len(plane) * np.ptp(columns["subpriority"])
+        assert 0 <= found.levels[-1].bound - best.levels[-1].value < error
 
 
 def test_a_tile_and_a_joint_plan_of_one_tile_have_the_same_sum():
