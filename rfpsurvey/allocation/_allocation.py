@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._display import to_html
-from rfpsurvey.allocation._answer import Level
+from rfpsurvey.allocation._answer import SUBPRIORITIES, Level
 from rfpsurvey.collision import Arms, place_arms
 from rfpsurvey.constraints import Shortfall, Verdict
 from rfpsurvey.errors import number_of
@@ -121,24 +121,28 @@ class Allocation:
 
     @property
     def bound(self) -> float:
-        """Upper bound of `objective`; NaN if it is unknown.
+        """Upper bound of `objective`, a number of targets; NaN if it is unknown.
 
         Some objectives in ``levels`` have a proven optimum. The bound is valid for all plans that have the same values
         of these objectives.
         """
         # The bound of a class whose optimum is not proven also includes all earlier classes. The largest difference
         # between a bound and its value is therefore used, not the sum of the differences.
-        return self.objective + float(np.max([level.bound - level.value for level in self.levels], initial=0.0))
+        slack = [level.bound - level.value for level in self.levels if level.name != SUBPRIORITIES]
+        return self.objective + float(np.max(slack, initial=0.0))
 
     @property
     def gap(self) -> float:
         """Relative difference between `bound` and `objective`, at most 1: 0 for a proven optimum, NaN if unknown.
 
-        The upper bound that ``repair`` uses ignores collisions. The gap of ``repair`` is therefore an upper limit of
-        the fraction of targets that are lost to collisions.
+        If the sum of the subpriorities is an objective, the gap is at least the relative difference between the bound
+        and the value of this sum. The upper bounds that ``repair`` uses ignore collisions. Without subpriorities, the
+        gap of ``repair`` is therefore an upper limit of the fraction of targets that are lost to collisions.
         """
         missing = self.bound - self.objective
-        return missing / max(abs(self.bound), missing, 1.0) if missing else 0.0
+        gap = missing / max(abs(self.bound), missing, 1.0) if missing else 0.0
+        sums = [level for level in self.levels if level.name == SUBPRIORITIES and level.bound > level.value]
+        return max([gap, *((bound - value) / max(abs(bound), bound - value) for _, value, bound in sums)])
 
     def place_arms(self, focal_plane: FocalPlane) -> Arms:
         """Return the poses of the arms for this allocation.

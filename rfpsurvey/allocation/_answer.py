@@ -6,6 +6,9 @@ import numpy as np
 
 from rfpsurvey._units import exact_text
 
+SUBPRIORITIES = "subpriorities"
+"""Name of the last objective: the sum of the subpriorities of the science targets that have a fiber."""
+
 
 class Level(NamedTuple):
     """One objective of a plan; earlier objectives take precedence over all later ones.

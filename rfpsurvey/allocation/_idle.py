@@ -8,6 +8,7 @@ from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, share
 from rfpsurvey.allocation._clusters import program_of
 from rfpsurvey.allocation._local_search import stand
+from rfpsurvey.allocation._objectives import DIGITS
 from rfpsurvey.allocation._solver import maximize
 
 # Positioners that are changed at the same time have at most this many candidates in total.
@@ -16,13 +17,13 @@ SIZE = 2000
 FOR_ONE = 0.25
 
 
-def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: float) -> np.ndarray:
+def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: float, *, keep_cost: bool) -> np.ndarray:
     """Return a plan with the same values of all objectives and as few collisions between idle arms as possible.
 
     The number of these collisions is minimal if there are at most ``SIZE`` candidates. Otherwise, the
     number may not be minimal, because the positioners around each collision are optimized separately. Positioners
     change only if the number decreases. If the targets have subpriorities, the sum of subpriorities of the changed
-    positioners is then the largest sum with this number of collisions.
+    positioners is then the largest sum with this number of collisions; with ``keep_cost``, it does not decrease.
 
     Parameters
     ----------
@@ -32,6 +33,8 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
         Candidate of each positioner.
     deadline : float
         Value of `now` at which the search ends.
+    keep_cost : bool
+        Whether the cost, which stands for the sum of the subpriorities, takes precedence over these collisions.
 
     Returns
     -------
@@ -56,20 +59,20 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
         if len(members) == len(xy):
             tried[:] = True
         try:
-            _separate(candidates, members, state, share(deadline, FOR_ONE))
+            _separate(candidates, members, state, share(deadline, FOR_ONE), keep_cost)
         except OutOfTimeError:
             break
     return state[0]
 
 
-def _separate(candidates, members, state, deadline):
+def _separate(candidates, members, state, deadline, keep_cost):
     """Minimize the collisions between the idle arms of some positioners in place, while all other arms are fixed."""
     options, now = candidates.options, state[0]
     before, idle = now[members].copy(), options.start[1:] - 1
     after = before
     try:
         program = program_of(candidates, members, *state, deadline)
-        x = _fewest(program, candidates.idle_pairs, idle, now, program.variables(before), deadline)
+        x = _fewest(program, candidates.idle_pairs, idle, now, program.variables(before), deadline, keep_cost)
         if x is not None and len(program.chosen(x)) == len(members):
             after = program.chosen(x)
     finally:
@@ -77,7 +80,7 @@ def _separate(candidates, members, state, deadline):
             moves.put(options.own[c], c, options, *state)
 
 
-def _fewest(program, pairs, idle, now, x, deadline):
+def _fewest(program, pairs, idle, now, x, deadline, keep_cost):
     """Return the variables of the plan with the fewest collisions of idle arms, among plans as good as plan ``x``.
 
     None is returned if no plan has fewer of these collisions than plan ``x``.
@@ -90,9 +93,11 @@ def _fewest(program, pairs, idle, now, x, deadline):
         np.add.at(cost, place[k][alone], 1.0)
     m = both.shape[1]
     matrix, low, high = program.rows
-    matrix = vstack([matrix, program.matrix], format="csr")
-    low = np.concatenate([low, program.reaches(x), np.full(m, -np.inf)])
-    high = np.concatenate([high, np.full(program.matrix.shape[0], np.inf), np.ones(m)])
+    kept = vstack([program.matrix, csr_array(-np.round(program.costs, DIGITS)[None])], format="csr")
+    kept = kept if keep_cost else program.matrix
+    matrix = vstack([matrix, kept], format="csr")
+    low = np.concatenate([low, kept @ x, np.full(m, -np.inf)])
+    high = np.concatenate([high, np.full(kept.shape[0], np.inf), np.ones(m)])
     ones = np.ones(m)
     link = csr_array((np.tile(ones, 2), (np.tile(np.arange(m), 2), both.ravel())), shape=(m, program.n))
     slack = csr_array((-ones, (np.arange(m), np.arange(m))), shape=(m, m))

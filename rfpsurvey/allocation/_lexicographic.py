@@ -31,6 +31,8 @@ class Solution(NamedTuple):
     n_programs: int
     integral: bool
     """Whether an integer program had to be solved."""
+    least: float = 0.0
+    """Lower bound of the cost of all plans that reach the bounds of all objectives; costs are not negative."""
 
 
 class _Pursuit:
@@ -151,7 +153,7 @@ def pursue(
     n_objectives, k = len(program.high), 0
     time_left = left(deadline)
     halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
-    bounds = program.high.copy()
+    bounds, least = program.high.copy(), 0.0
     while k < n_objectives:
         if tell is not None:
             tell(k, n_objectives)
@@ -167,10 +169,13 @@ def pursue(
         bounds[k : k + n] = now.solved[k:]
         k += n
     if squared_cost and k == n_objectives:
-        x, _ = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
-        if x is not None:
+        x, bound = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
+        least = max(-bound, 0.0)
+        # the best plan that was found before the deadline can be worse than the plan from which the search started
+        if x is not None and (now.x is None or program.costs @ x <= program.costs @ now.x):
             now.x = x
     if now.x is None:
         return Solution(None, now.values, bounds, now.n_programs, now.integral)
     values = program.reaches(now.x)
-    return Solution(program.chosen(now.x), values, np.maximum(bounds, values), now.n_programs, now.integral)
+    bounds = np.maximum(bounds, values)
+    return Solution(program.chosen(now.x), values, bounds, now.n_programs, now.integral, least)

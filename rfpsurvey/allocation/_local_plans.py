@@ -28,6 +28,8 @@ class Found(NamedTuple):
     bounds: np.ndarray
     complete: bool
     meta: dict
+    least: float = 0.0
+    """Lower bound of the cost, as in `Solution`."""
 
 
 def values_of(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:

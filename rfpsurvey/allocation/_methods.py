@@ -12,6 +12,7 @@ from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._distribution import lost_to_rules
 from rfpsurvey.allocation._given import changes_of, is_plan
 from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
+from rfpsurvey.allocation._objectives import DIGITS, scale_of, with_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
@@ -115,7 +116,7 @@ def network_flow(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, by network flow; then minimize squared distances.
 
     The distances are those from the centers of the positioners; arms may collide. If subpriorities are given, the last
-    step maximizes the sum of the subpriorities instead.
+    step maximizes the sum of the subpriorities of the science targets instead.
     """
     return _search(problem, collide=False, integral=False, squared_cost=True)
 
@@ -124,10 +125,10 @@ def optimal(problem: AllocationProblem) -> AllocationAnswer:
     """Maximize the number of targets, one class after the other, such that no arm with a target collides.
 
     The optimum is proven. An arm with a target avoids all other arms and obstacles, and idle arms that are obstacles:
-    arms of parked positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. Among
-    plans of equal value, a plan in which few idle arms collide with each other is preferred; idle arms may still
-    collide with obstacles. If subpriorities are given, the last step maximizes the sum of the subpriorities; if
-    ``start`` is a plan, it instead minimizes the number of changed fibers.
+    arms of parked positioners (if ``parked_obstacles`` is True), and arms of disabled and stuck positioners. If
+    subpriorities are given, the last objective is the sum of the subpriorities of the science targets. Among plans of
+    equal value, a plan in which few idle arms collide with each other is preferred; idle arms may still collide with
+    obstacles. If ``start`` is a plan, the last step minimizes the number of changed fibers.
     """
     has_last = problem.subpriority is not None or is_plan(problem.options.start)
     return _search(problem, collide=True, squared_cost=has_last)
@@ -148,7 +149,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     if problem.distributions:
         free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
         meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
-    levels = None if problem.any_goals else _bounded(problem, target_of, match(everything))
+    levels = _bounded(problem, target_of, None if problem.any_goals else match(everything))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
@@ -213,28 +214,31 @@ def _search(problem, **options):
 def with_cost(problem: AllocationProblem) -> AllocationProblem:
     """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
 
-    The larger the subpriority of the target, the lower the cost of the pair. With ``optimal`` and a given plan, the
-    sum of the costs is smallest for the plan that changes the fewest fibers (see `changes_of`).
+    The larger the subpriority of a science target, the lower the cost of its pairs. With ``optimal`` and a given plan,
+    the sum of the costs is smallest for the plan that changes the fewest fibers (see `changes_of`).
     """
-    if problem.options.method.avoids_collisions and is_plan(problem.options.start):
+    if problem.options.method.keeps_plan and is_plan(problem.options.start):
         pairs, before = problem.pairs, problem.start(with_lost=True).target_of_positioner
         return replace(problem, pairs=replace(pairs, r2=changes_of(before, pairs.owner, pairs.target)))
     if problem.subpriority is None:
         return problem
     order = np.arange(len(problem.rank))  # the rows make the costs different if subpriorities are equal
-    cost = problem.subpriority.max(initial=0.0) - problem.subpriority
-    cost = np.round(cost / max(cost.max(initial=0.0), 1e-300), 6) + order * (1e-7 / max(len(order), 1))
+    most, size = scale_of(problem)
+    cost = np.where(problem.science, most - problem.subpriority, 0.0) / max(size, 1e-300)
+    cost = np.round(cost, DIGITS) + order * (10.0 ** -(DIGITS + 1) / max(len(order), 1))
     return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))
 
 
 def _bounded(problem, target_of, blind):
-    """Return the objectives of a plan; their upper bounds are the values of a second plan, which ignores collisions."""
-    reached, most = problem.values(target_of), problem.values(blind)
-    levels, known = [], True
-    for name, value in reached.items():
+    """Return the objectives of a plan; their upper bounds are the values of a second plan, which ignores collisions.
+
+    Without a second plan, the bounds of the numbers of targets are unknown.
+    """
+    levels, known, most = [], blind is not None, {} if blind is None else problem.values(blind)
+    for name, value in problem.values(target_of).items():
         levels.append(Level(name, value, most[name] if known else np.nan))
-        known &= value == most[name]
-    return levels
+        known = known and value == most[name]
+    return with_subpriorities(problem, levels, target_of)
 
 
 def _in_order(problem):

@@ -4,10 +4,16 @@ from dataclasses import replace
 
 import numpy as np
 
-from rfpsurvey.allocation._answer import Level
+from rfpsurvey.allocation._answer import SUBPRIORITIES, Level
 from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._local_search import match
 from rfpsurvey.allocation._problem import AllocationProblem
+
+# Decimal digits of costs, which are differences of subpriorities in units of the range of all subpriorities.
+DIGITS = 6
+# Relative error of sums of subpriorities.
+ROUNDING = 1e-12
 
 
 def with_used_classes(
@@ -90,3 +96,45 @@ def conditional_bounds(problem: AllocationProblem, values: np.ndarray, limits: n
     bounds[offset:last] -= np.cumsum(values[offset:last]) - values[offset:last]
     bounds[:first] = np.inf
     return bounds
+
+
+def scale_of(problem: AllocationProblem) -> tuple[float, float]:
+    """Return the largest subpriority of the science targets, and the range of their subpriorities."""
+    values = problem.subpriority[problem.science] if problem.science.any() else np.zeros(1)
+    return values.max(), np.ptp(values)
+
+
+def sum_of_subpriorities(problem: AllocationProblem, target_of: np.ndarray) -> float:
+    """Return the sum of the subpriorities of the science targets of a plan."""
+    used = target_of[target_of >= 0]
+    return float(problem.subpriority[used[problem.science[used]]].sum())
+
+
+def is_sum_maximized(problem: AllocationProblem) -> bool:
+    """Return whether the sum of the subpriorities is an objective; if not, a given plan may be kept instead."""
+    return problem.subpriority is not None and not (
+        problem.options.method.keeps_plan and is_plan(problem.options.start)
+    )
+
+
+def with_subpriorities(
+    problem: AllocationProblem, levels: list[Level], target_of: np.ndarray, least: float = 0.0
+) -> list[Level]:
+    """Add the sum of the subpriorities of the science targets to the objectives of a plan, if it is an objective.
+
+    ``least`` is a lower bound of the cost (see `with_cost`) of all plans with the same values of all other objectives.
+    """
+    if not is_sum_maximized(problem):
+        return levels
+    rank, worth, value = problem.rank, problem.subpriority, sum_of_subpriorities(problem, target_of)
+    n = np.bincount(rank[target_of[target_of >= 0]], minlength=len(problem.classes) + 1)[: len(problem.classes)]
+    # no plan has a larger sum than the best targets in reach of each class
+    best = np.flatnonzero(problem.science & (np.diff(problem.pairs.indptr) > 0))
+    best = best[np.lexsort((-worth[best], rank[best]))]
+    place = np.arange(len(best)) - np.searchsorted(rank[best], rank[best])
+    bound = worth[best[place < n[rank[best]]]].sum()
+    most, size = scale_of(problem)
+    error = len(target_of) * (10.0**-DIGITS * size + ROUNDING * (abs(most) + size))
+    bound = float(min(bound, n.sum() * most - size * least + error))
+    # costs are rounded, and the solver ignores differences of this size
+    return [*levels, Level(SUBPRIORITIES, value, value if bound <= value + 3 * error else bound)]

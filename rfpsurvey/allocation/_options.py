@@ -111,10 +111,10 @@ class AllocationOptions:
         ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns the targets of a class in this order, each to its
         closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost_rule``,
         every positioner nominates its unassigned target with the largest subpriority. ``network_flow`` and ``optimal``
-        maximize the sum of the subpriorities after all other objectives (``network_flow`` then does not minimize
-        squared distances). Differences between subpriorities are ignored if they are below one millionth of the range
-        of the subpriorities. In large fields, or if the time limit ends the search, ``optimal`` finds only an
-        approximate maximum of the sum, as does ``repair``. With subpriorities and unique identifiers, the plan does not
+        maximize the sum of the subpriorities of the science targets after the numbers of targets (``network_flow`` then
+        does not minimize squared distances). Differences below one millionth of the range are ignored. In large fields,
+        or if the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum, as does
+        ``repair``; the bound in ``levels`` states this. With subpriorities and unique identifiers, the plan does not
         depend on the order of targets in the catalog. Without subpriorities, ``optimal`` and ``repair`` sort targets by
         a hash of their identifiers or, if there are none, of their positions.
     constraints : list of Constraint or str, optional

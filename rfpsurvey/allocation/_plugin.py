@@ -8,9 +8,10 @@ import numpy as np
 
 from rfpsurvey._plugins import Plugin, find_function, find_plugin
 from rfpsurvey._units import to_plain
-from rfpsurvey.allocation._answer import AllocationAnswer
+from rfpsurvey.allocation._answer import SUBPRIORITIES, AllocationAnswer
 from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._methods import METHODS, OPTIONS, Allocator
+from rfpsurvey.allocation._objectives import sum_of_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.constraints import named_plugins
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice
@@ -79,6 +80,8 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
     if answer.levels is not None:
         real = problem.values(target_of)
         given = {name: value for name, value, _ in answer.levels}
+        if SUBPRIORITIES in given and problem.subpriority is not None:
+            real[SUBPRIORITIES] = sum_of_subpriorities(problem, target_of)
         if given != real or any(bound < value for _, value, bound in answer.levels):
             raise InputError(
                 f"levels must contain the values of the objectives of the plan, {real}, and bounds that are not "

@@ -28,9 +28,11 @@ from rfpsurvey.allocation._methods import lamost_rule, with_cost
 from rfpsurvey.allocation._milp import Program
 from rfpsurvey.allocation._objectives import (
     conditional_bounds,
+    is_sum_maximized,
     levels_of,
     matching_limits,
     offset_of,
+    with_subpriorities,
     with_used_classes,
 )
 from rfpsurvey.allocation._prices import Prices, weights_of
@@ -132,15 +134,20 @@ def decide(
             chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
         bounds = np.minimum(bounds, conditional_bounds(problem, values, limits, first))
+    # The preselection for plans without collisions may omit targets of lower cost than those that it keeps.
+    least = found.least if whole and proven.all() and not (collide and n_left_out) else 0.0
     if collide and everything.idle_pairs.size:
         used, chosen = everything, _chosen_in(everything, used, chosen)
-        chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
+        chosen = separate_idle_arms(
+            everything, chosen, max(deadline, now() + AT_LEAST), keep_cost=is_sum_maximized(given)
+        )
     target_of, side = used.options.target[chosen], used.side[chosen]
     if repaired is not None and tuple(problem.level_values(repaired.target_of)) > tuple(values):
         # the plan of ``repair`` uses a candidate that was left out
         target_of, side = repaired
         values = problem.level_values(target_of)
     levels = levels_of(given, offset_of(problem), kept, values, np.maximum(bounds, values))
+    levels = with_subpriorities(given, levels, target_of, least)
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
 
 
@@ -290,7 +297,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
     values = bounds = problem.level_values(np.where(chosen < 0, -1, options.target[chosen]))
     # The requirements of a part also count the targets of the parts that are already solved.
     adds = np.array([name != "requirements" for name in problem.level_names])
-    n_parts = n_programs = 0
+    n_parts, n_programs, least = 0, 0, options.cost[known].sum()
     integers, complete = False, True
     parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
     for rows, edges in parts:
@@ -311,7 +318,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
             complete = False
         else:
             chosen[options.own[part.chosen]] = part.chosen
-        n_parts, n_programs = n_parts + 1, n_programs + part.n_programs
+        n_parts, n_programs, least = n_parts + 1, n_programs + part.n_programs, least + part.least
         integers |= part.integral and part.n_programs > 0
     meta = {
         "model": "integer program" if integers else "linear program" if n_programs else "no search needed",
@@ -319,7 +326,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return Found(chosen, values, bounds, complete, meta)
+    return Found(chosen, values, bounds, complete, meta, least)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:

@@ -18,9 +18,11 @@ from rfpsurvey.allocation._local_search import pick, repair_collisions, stand
 from rfpsurvey.allocation._methods import with_cost
 from rfpsurvey.allocation._objectives import (
     conditional_bounds,
+    is_sum_maximized,
     levels_of,
     matching_limits,
     offset_of,
+    with_subpriorities,
     with_used_classes,
 )
 from rfpsurvey.allocation._problem import AllocationProblem
@@ -52,10 +54,11 @@ def decide(problem: AllocationProblem, *, collide: bool, **options) -> Allocatio
     levels = list(answer.levels)
     if not free.groups:
         levels.insert(problem.level_names.index("requirements"), Level("requirements", 0.0, 0.0))
-    values = np.array([level.value for level in levels])
+    n = len(problem.level_names)  # without the sum of the subpriorities
+    values, bounds = np.array([level[1:] for level in levels[:n]]).T
     if (problem.level_values(answer.target_of_positioner) == values).all():
         return answer._replace(levels=levels)
-    bounds, k = np.array([level.bound for level in levels]), problem.level_names.index("requirements")
+    k = problem.level_names.index("requirements")
     if values[k] < bounds[k]:
         bounds[k + 1 :] = np.inf  # without the rules, a plan with these values may lack fewer fibers
     return _follow(problem, answer, values, bounds, **options)
@@ -81,7 +84,7 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
     chosen = max(plans, key=lambda plan: tuple(values_of(everything, plan)))
     if len(everything) > SMALL:
         chosen = improve_by_clusters(everything, chosen, share(deadline, FOR_CLUSTERS), is_best, upper, SIZE)
-    meta = {**LOCAL, "n_open": int((np.diff(everything.options.start) > 1).sum()), "n_parts": 1}
+    least, meta = 0.0, {**LOCAL, "n_open": int((np.diff(everything.options.start) > 1).sum()), "n_parts": 1}
     if squared_cost or not is_best(chosen):
         found = _solve(everything, chosen, upper, share(deadline, FOR_PROGRAM), squared_cost)
         if found is not None:
@@ -91,15 +94,19 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
                 chosen[everything.options.own[found.chosen]] = found.chosen
             if whole and not everything.preselection.n_left_out:
                 known.append((found.values, found.bounds))
+                least = found.least if (found.values >= found.bounds).all() else 0.0
         if not is_best(chosen):
             chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper, SIZE)
     if everything.idle_pairs.size:
-        chosen = separate_idle_arms(everything, chosen, max(deadline, now() + AT_LEAST))
+        chosen = separate_idle_arms(
+            everything, chosen, max(deadline, now() + AT_LEAST), keep_cost=is_sum_maximized(given)
+        )
     target_of, side = everything.options.target[chosen], everything.side[chosen]
     if tuple(problem.level_values(repaired.target_of)) > tuple(values_of(everything, chosen)):
         target_of, side = repaired  # this plan uses a candidate that was left out
     values = problem.level_values(target_of)
     levels = levels_of(given, offset, kept, values, np.maximum(upper(values), values))
+    levels = with_subpriorities(given, levels, target_of, least)
     meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
     meta["n_lost_to_rules"] = lost_to_rules(given, free.target_of_positioner, target_of)
     return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
@@ -148,4 +155,5 @@ def _solve(everything: Candidates, chosen, upper, deadline: float, squared_cost:
         found = pursue(program, first, deadline, None, upper=part, **settings)
     except OutOfTimeError:
         return None
-    return found._replace(values=found.values + base, bounds=found.bounds + base)
+    least = found.least + options.cost[state[0][np.diff(options.start) == 1]].sum()
+    return found._replace(values=found.values + base, bounds=found.bounds + base, least=least)

@@ -100,11 +100,12 @@ STATES = {
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
 MOST_ROWS = 8
 """Largest number of rows with the same constraint and verdict that are listed one by one."""
-TOTAL = "any target"
+TOTAL, SUM = "any target", "subpriorities"
 LEVELS = {
     "requirements": "fibers missing for requirements",
     "required targets": "required targets assigned",
     TOTAL: "targets of any kind",
+    SUM: "sum of the subpriorities",
 }
 MOTION = ("n_unfolding_pairs", "n_needs_planner")
 """Numbers that are shown, even if they are 0, if a constraint refers to the motion of the arms."""
@@ -188,19 +189,19 @@ def _required(summary: dict) -> dict:
     return {"required targets observed": f"{summary['n_required_observed']} of {n}"} if n else {}
 
 
-def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
+def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, float, str]]:
     """Return, for each class of targets, its name, its number of fibers, and text with a bound of this number.
 
     The text is empty if the number is known to be optimal, or if no bound is known. The list has at most ``most``
-    items; if there are more classes, one item contains the sum of the remaining classes. The last item can be the
-    number of targets of any kind, which includes all classes.
+    items; if there are more classes, one item contains the sum of the remaining classes. The last items can be the
+    number of targets of any kind and the sum of the subpriorities, which include all classes.
     """
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
         return []
-    # the total of all kinds of targets is no class
-    classes, total = (objectives[:-1], objectives[-1:]) if objectives[-1][0] == TOTAL else (objectives, [])
-    shown = classes if len(objectives) <= most else classes[: most - 1 - len(total)]
+    totals = [one for one in objectives[-2:] if one[0] in (TOTAL, SUM)]
+    classes = objectives[: len(objectives) - len(totals)]
+    shown = classes if len(objectives) <= most else classes[: most - 1 - len(totals)]
     rest, found = classes[len(shown) :], [_objective(*one) for one in shown]
     if rest:
         # the last class in a summary can itself be the sum of many classes
@@ -208,11 +209,13 @@ def tile_objectives(tile: "Tile", most: int) -> list[tuple[str, int, str]]:
         n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
         value = round(sum(abs(value) for _, value, _ in rest))
         found.append((number_of(n_classes, "more class", "more classes"), value, ""))
-    return found + [_objective(*one) for one in total]
+    return found + [_objective(*one) for one in totals]
 
 
-def _objective(name: str, value: float, bound: float | None) -> tuple[str, int, str]:
+def _objective(name: str, value: float, bound: float | None) -> tuple[str, float, str]:
     """Return the label and the value of an objective, and text with its bound."""
+    if name == SUM:
+        return LEVELS[name], float(f"{value:.6g}"), "" if bound in (None, value) else f"at most {bound:.6g}"
     limit = "at least" if name == "requirements" else "at most"
     return LEVELS.get(name, name), round(abs(value)), "" if bound in (None, value) else f"{limit} {abs(bound):.0f}"
 

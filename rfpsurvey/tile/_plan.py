@@ -47,6 +47,8 @@ from rfpsurvey.tile._tile import Tile
 MOST_OBJECTIVES = 100
 # Fraction of the science targets from which a warning states that rules on the distribution of fibers cost them.
 COSTLY = 0.03
+# Objectives that include the targets of all classes.
+TOTALS = "any target", "subpriorities"
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -203,6 +205,8 @@ def plan_tile(
             f"the rules on the distribution of fibers cost {n_lost} of the {n_free} science targets that a plan "
             "without these rules observes"
         )
+    if options.method.uses_priorities and (text := _lost_class(allocation, targets.columns)):
+        warn(text)
     summary = {
         "n_targets": len(everything) + everything.n_dropped,
         "n_dropped": everything.n_dropped,
@@ -263,6 +267,20 @@ def _refuse_empty(builder: FieldBuilder, n: int) -> None:
     raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
 
 
+def _lost_class(allocation, columns) -> str:
+    """Return a text if no target of the highest priority is assigned, although at least one is in reach."""
+    n = allocation.n_given
+    science = np.ones(n, dtype=bool) if columns.kind is None else has_role(columns.kind, "science")
+    rows = np.flatnonzero(science & allocation.in_reach[:n])
+    if columns.priority is None or len(rows) == 0:
+        return ""
+    highest = columns.priority[rows].max()
+    rows = rows[columns.priority[rows] == highest]
+    if highest == columns.priority[science].min() or (allocation.positioner_of_target[rows] >= 0).any():
+        return ""
+    return f"no target of the highest priority ({highest:g}) has a fiber; {number_of(len(rows), 'target')} in reach"
+
+
 def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int:
     """Return the number of targets marked in ``is_required`` that are assigned and not in collision."""
     observed = plan.target[(plan.target >= 0) & ~plan.report.in_collision[plan.positioner]]
@@ -273,14 +291,14 @@ def _objectives(levels: list) -> list:
     """Return the name, value and bound of each objective.
 
     If there are more than ``MOST_OBJECTIVES`` objectives, one item is the sum of all further classes. The number of
-    targets of any kind, which includes all classes, remains the last item.
+    targets of any kind and the sum of the subpriorities, which include all classes, remain the last items.
     """
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
     if len(rows) <= MOST_OBJECTIVES:
         return rows
-    rows, total = (rows[:-1], rows[-1:]) if rows[-1][0] == "any target" else (rows, [])
+    total = [row for row in rows[-2:] if row[0] in TOTALS]
     n = MOST_OBJECTIVES - 1 - len(total)
-    rest = rows[n:]
+    rest = rows[n : len(rows) - len(total)]
     return [*rows[:n], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None], *total]
 
 

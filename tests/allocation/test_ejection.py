@@ -1,5 +1,7 @@
 """Ejection moves: plans stay valid, never get worse, are close to the optimum, and ignore the order of targets."""
 
+import warnings
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -137,6 +139,22 @@ def test_the_most_important_target_is_observed_where_rules_allow_it(seed):
     tile = rs.plan_tile(catalog, "sdss_apo", CENTER, allocator=rs.AllocationOptions(rules="bright_time"))
     assert n - 1 in tile.table["target_id"][tile.table["status"] == "assigned"]
     assert len(tile.summary["unmet"]) == 0
+
+
+@pytest.mark.parametrize("allocator", ["repair", "optimal", "balanced"])
+def test_a_warning_states_that_the_highest_priority_has_no_fiber(allocator):
+    """An obstacle covers the only target of the highest priority."""
+    obstacles = [[12, 0, 1], [-12, 0, 1]] * MM  # the target in the east is at one of them
+    plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 2 * MM), obstacles=obstacles)
+    instrument = rs.Instrument("small", plane, plate_scale=100 * MM / u.deg)
+    catalog = rs.Catalog(CENTER.directional_offset_by([90, 0] * u.deg, 0.12 * u.deg), priority=[3, 1])
+    with warnings.catch_warnings(record=True) as found:
+        warnings.simplefilter("always")
+        tile = rs.plan_tile(catalog, instrument, CENTER, allocator=allocator)
+    texts = [str(one.message) for one in found if "highest priority" in str(one.message)]
+    text = "no target of the highest priority (3) has a fiber; 1 target in reach"
+    assert texts == ([text] if allocator != "balanced" else [])
+    assert allocator == "balanced" or tile.table["target_id"].tolist() == [1]
 
 
 def test_a_given_plan_changes_only_where_it_gets_better():

@@ -1,4 +1,4 @@
-"""Collisions of idle arms with each other are the last objective of ``optimal``."""
+"""Collisions of idle arms with each other are the last objective of ``optimal``, after subpriorities."""
 
 from itertools import product
 
@@ -18,6 +18,16 @@ def test_a_target_goes_to_the_positioner_whose_idle_arm_would_collide_twice():
     assert found.gap == 0
     assert found.target_of_positioner.tolist() == [-1, 0, -1]
     assert len(rs.find_collisions(plane, found).pairs) == 0
+
+
+def test_subpriorities_take_precedence_over_collisions_of_idle_arms():
+    plane = rs.FocalPlane([[0, 0], [12.2, 0], [24.4, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 2.25 * MM))
+    for subpriority, expected, n_pairs in (([0.9, 0.2], [0, -1, -1], 1), ([0.2, 0.9], [-1, 1, -1], 0)):
+        xy = [[12.1, -8.7], [13.6, -4.6]] * MM  # the arms at these targets collide
+        found = rs.allocate(plane, xy, allocator="optimal", subpriority=subpriority)
+        assert found.gap == 0
+        assert found.target_of_positioner.tolist() == expected
+        assert len(rs.find_collisions(plane, found).pairs) == n_pairs
 
 
 def enumerate_plans(plane, xy):

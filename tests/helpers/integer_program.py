@@ -14,7 +14,7 @@ class LexicographicProgram:
     """All plans of a small scene; `best` returns the values of the objectives of the best plan, and `values` of a plan.
 
     The objectives are the required targets, the missing fibers of requirements, the targets of each class, all targets,
-    the collisions of idle arms, and the sum of subpriorities.
+    the collisions of idle arms, and the sum of the subpriorities of the science targets.
     """
 
     def __init__(self, plane, xy, subpriority, *, priority, kind, category, requirements, required, parked=True):
@@ -73,14 +73,18 @@ class LexicographicProgram:
         lack, touch = np.zeros(size), np.zeros(size)
         lack[n : n + m], touch[n + m :] = -1.0, -1.0
         classes = [counted(science & (priority == p)) for p in sorted(set(priority[science]), reverse=True)]
-        worth = np.append(np.where(target >= 0, subpriority[target], 0.0), np.zeros(size - n))
+        worth = counted(science) * np.append(subpriority[target], np.zeros(size - n))
         self.goals = np.array([counted(required), lack, *classes, used, touch, worth])
 
-    def best(self):
-        """Return the values of the objectives of the best plan."""
+    def best(self, known=()):
+        """Return the values of the objectives of the best plan, among plans with ``known`` values of the first ones."""
         rows, low, high, found = self.rows, self.low, self.high, []
         most = np.append(np.ones(self.n), np.full(rows.shape[1] - self.n, np.inf))
-        for goal in self.goals:
+        for k, goal in enumerate(self.goals):
+            if k < len(known):
+                rows, low, high = np.vstack([rows, goal]), np.append(low, known[k]), np.append(high, known[k])
+                found.append(known[k])
+                continue
             limits = LinearConstraint(rows, low, high)
             settings = {"bounds": Bounds(0, most), "integrality": np.ones(len(most)), "options": {"mip_rel_gap": 0.0}}
             answer = milp(-goal, constraints=limits, **settings)

@@ -150,8 +150,11 @@ class Scene:
         numbers = ["science"] if len(classes) == 1 else [f"priority {p:.0f}" for p in classes]
         return ["requirements", *numbers, "any target"]
 
-    def best(self):
-        """Return the objectives of the best plan, from an integer program with a row for each definition."""
+    def best(self, worth=None):
+        """Return the objectives of the best plan, from an integer program with a row for each definition.
+
+        If the subpriorities ``worth`` are given, the last objective is their sum over the science targets.
+        """
         choices, pairs, barred = self.choices()
         rules = self.possible(choices)
         keys = [(i, k) for i, mine in enumerate(choices) for k in range(len(mine))]
@@ -205,6 +208,9 @@ class Scene:
             goals[-1][[c for c, t in target.items() if self.kind[t] == "science" and self.priority[t] == p]] = 1
         goals.append(np.zeros(len(names)))
         goals[-1][[*target]] = 1
+        if worth is not None:
+            goals.append(np.zeros(len(names)))
+            goals[-1][[*target]] = [worth[t] * (self.kind[t] == "science") for t in target.values()]
         found = []
         for goal in goals:
             answer = milp(
@@ -215,6 +221,6 @@ class Scene:
                 options={"mip_rel_gap": 0.0},
             )
             assert answer.status == 0
-            found.append(round(float(goal @ answer.x)))
+            found.append(round(float(goal @ answer.x), 4))
             matrix, low, high = np.vstack([matrix, goal]), np.append(low, found[-1] - 0.5), np.append(high, np.inf)
         return tuple(found)

@@ -198,15 +198,19 @@ def test_many_classes_are_summed_up(presets):
     assert sum(value for _, value, _ in lines) == tile.summary["n_assigned"]
 
 
-@pytest.mark.parametrize("n_classes", [14, 130])
-def test_the_sum_of_further_classes_does_not_contain_the_total(presets, n_classes):
+@pytest.mark.parametrize(("n_classes", "subpriority"), [(14, None), (130, None), (14, 1), (130, 1)])
+def test_the_sum_of_further_classes_does_not_contain_the_total(presets, n_classes, subpriority):
     """Regression: the number of targets of any kind was added to the sum of the classes, which it includes."""
     sky = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=900, rng=1)
     kind = np.where(np.arange(900) % 9 == 0, "sky", "science")
     catalog = rs.Catalog(sky.coord, priority=np.arange(900) % n_classes, kind=kind)
-    asked = rs.AllocationOptions(requirements=["sky=20"])
+    asked = rs.AllocationOptions(requirements=["sky=20"], subpriority=subpriority)
     tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, allocator=asked)
-    lines = tile_objectives(tile, 12)
+    lines = tile_objectives(tile, 12 + (subpriority is not None))
+    if subpriority is not None:
+        name, value, _ = lines.pop()
+        assert (name, value) == ("sum of the subpriorities", pytest.approx(tile.summary["objectives"][-1][1], rel=1e-5))
+    assert len(tile.summary["objectives"]) <= 100
     science, total = (tile.summary["kinds"]["science"]["n_assigned"], tile.summary["n_assigned"])
     assert total > science
     assert len(lines) == 12
