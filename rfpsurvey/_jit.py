@@ -85,3 +85,8 @@ def inlined_kernel(function: Callable) -> Callable:
     function.
     """
     return numba.njit(inline="always", **_OPTIONS)(function)
+
+
+def inner_kernel(function: Callable) -> Callable:
+    """Compile ``function`` for calls by kernels only, which takes less time than for calls from Python."""
+    return numba.njit(no_cpython_wrapper=True, **_OPTIONS)(function)

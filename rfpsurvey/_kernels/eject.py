@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inner_kernel, kernel
 from rfpsurvey._kernels.hashing import GOLDEN, mix
 
 NONE = np.int64(-1)
@@ -80,7 +80,7 @@ class Move(NamedTuple):
     """Change of the number of targets of each class."""
 
 
-@kernel
+@inner_kernel
 def step(i, c, options, goals, plan, move):
     """Assign candidate c to positioner i (none if c = -1), and update the plan and the changes of the move."""
     indptr, other, target, rank = options.indptr, options.other, options.target, options.rank
@@ -117,13 +117,13 @@ def step(i, c, options, goals, plan, move):
             net[rank[d]] += sign
 
 
-@kernel
+@inner_kernel
 def lack_of_rule(r, goals, plan):
     """Return how many more science fibers would need neighbors so that a plan complies with rule r."""
     return max(np.ceil(goals.percent[r] * plan.n_science[r] / 100 - 1e-9) - plan.n_served[r], 0.0)
 
 
-@kernel
+@inner_kernel
 def count_neighbors(d, t, sign, goals, plan, sums):
     """Update what candidate d, whose target is t, counts toward the rules on the distribution of fibers."""
     for r in range(goals.k.size):
@@ -141,7 +141,7 @@ def count_neighbors(d, t, sign, goals, plan, sums):
         sums[2] += before - lack_of_rule(r, goals, plan)
 
 
-@kernel
+@inner_kernel
 def begin(move):
     """Forget the steps of the previous move."""
     for k in range(1, move.ranks[0] + 1):
@@ -150,7 +150,7 @@ def begin(move):
     move.sums[:] = 0.0
 
 
-@kernel
+@inner_kernel
 def undo(options, goals, plan, move):
     """Undo all steps of a move."""
     n = move.n[0]
@@ -159,7 +159,7 @@ def undo(options, goals, plan, move):
         step(move.own[k], move.before[k], options, goals, plan, move)
 
 
-@kernel
+@inner_kernel
 def gain_of(goals, move):
     """Return a number above 0 if the steps of a move make the plan better, 0 if they change no objective."""
     sums, net, first = move.sums, move.net, np.int64(goals.n_classes + 1)
@@ -174,7 +174,7 @@ def gain_of(goals, move):
     return sums[4] if abs(sums[4]) > EQUAL else 0.0
 
 
-@kernel
+@inner_kernel
 def filled(c, now, goals, count):
     """Return how many unmet requirements candidate c meets in place of candidate ``now``; -1 if it exceeds a maximum.
 
@@ -193,7 +193,7 @@ def filled(c, now, goals, count):
     return n
 
 
-@kernel
+@inner_kernel
 def best_of(i, options, goals, plan):
     """Return the best candidate of positioner i that is not blocked and exceeds no maximum; -1 if there is none."""
     target, rank, cost, worth = options.target, options.rank, options.cost, goals.worth
@@ -212,7 +212,7 @@ def best_of(i, options, goals, plan):
     return best
 
 
-@kernel
+@inner_kernel
 def attempt(i, c, steady, fixed, options, goals, plan, move, blockers):
     """Try to assign candidate c to positioner i, and return the gain of the move.
 
@@ -270,7 +270,7 @@ def attempt(i, c, steady, fixed, options, goals, plan, move, blockers):
     return gain
 
 
-@kernel
+@inner_kernel
 def draw(n, progress):
     """Return the next random whole number from 0 to n - 1."""
     progress[0] += GOLDEN

@@ -13,10 +13,10 @@ from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 ROUNDS = 10
 # Rounds of ejection moves, rounds without a better plan after which they end, and probability of a move to an equally
 # good target: for arms that reach beyond the adjacent positioners, for their last stage, in which the sum of the
-# subpriorities counts, and for shorter arms.
-LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS = (100, 20, 0.3), (30, 10, 0.5), (3, 3, 0.1)
+# subpriorities counts, for shorter arms, and for less than SMALL positioners, which take little time.
+LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS, FEW_ARMS = (100, 20, 0.3), (30, 10, 0.5), (3, 3, 0.1), (300, 60, 0.3)
 # Mean number of positioners that share targets with a positioner, up to which arms are short: the six adjacent ones.
-ADJACENT = 6
+ADJACENT, SMALL = 6, 300
 # Number of rounds before the clock is read again, and first number of the random numbers.
 TOGETHER, SEED = 4, 20
 # Largest number of lost targets of the best class that are tried again with fewer other goals.
@@ -205,10 +205,10 @@ def improve(
         fixed |= ~near
     plan = _plan(candidates, chosen, goals)
     plain, progress = goals._replace(worth=np.zeros(len(options.own))), np.array([SEED, 0], dtype=np.uint64)
-    is_long = problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
-    stages = [(plain, *LONG_ARMS)] if is_long else [] if goals.worth.any() else [(plain, *SHORT_ARMS)]
-    if goals.worth.any():
-        stages.append((goals, *(LONG_ARMS_LAST if is_long else SHORT_ARMS)))
+    is_small, is_long = len(chosen) < SMALL, problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
+    stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
+    if goals.worth.any() or not stages:
+        stages.append((goals, *(LONG_ARMS_LAST if stages else SHORT_ARMS)))
     for some, n_rounds, patience, equal in stages:
         progress[1] = 0
         for _ in range(0, n_rounds, TOGETHER):
