@@ -129,7 +129,7 @@ def fields(folder):
     options = {"position_angle": 40 * u.deg, "requirements": REQUIRED}
     print("an SDSS-V field with its requirements (its own planner assigned 494 of 500)")
     center = SkyCoord(269.59, 66.55, unit="deg")
-    seconds, tile = median(rs.plan_tile, catalog, "sdss_apo", center, allocator="optimal", repeats=3, **options)
+    seconds, tile = median(flat.plan_tile, catalog, "sdss_apo", center, allocator="optimal", repeats=3, **options)
     print(f"  optimal: {tile.summary['n_assigned']} assigned, gap {tile.summary['gap']}, {seconds:.2f} s in all")
     show(catalog, "sdss_apo", center, **options)
     for name, file in (("moons", "zcosmos_bright.ecsv"), ("lamost", "tycho2_pleiades_r4.ecsv")):
@@ -141,7 +141,8 @@ def fields(folder):
 
 
 def show(catalog, name, center, **options):
-    table = rs.compare_allocators(catalog, name, center, **options)
+    own, others = flat.split("lamost_rule", options)
+    table = rs.compare_allocators(catalog, name, center, options=own, **others)
     for column in ("loss", "seconds"):
         table[column].info.format = ".4f"
     print("\n".join(table.pformat(max_lines=-1, max_width=-1)))
