@@ -120,7 +120,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     >>> plan = rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal")
     >>> found = rs.allocation.find_idle_reasons(plane, plan, plan.place_arms(plane))
     >>> rs.allocation.IDLE_REASONS[found.reason[0]], found.blocked_by
-    ('at every free target in reach the arm would collide', [[1]])
+    ('at every free target in reach the arm would collide', [[0]])
     """
     n, given = len(focal_plane), allocation.n_given
     for name, number in (("allocation", len(allocation.target_of_positioner)), ("arms", len(arms.segments))):
