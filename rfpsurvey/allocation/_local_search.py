@@ -126,7 +126,16 @@ def repair_collisions(
     chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
     now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
     first = _order(candidates, now)
-    if not _repair(options, first, now, *state, deadline, ROUNDS if is_exchange else 0, active, near):
+    if not _repair(
+        options,
+        first,
+        now,
+        *state,
+        deadline,
+        ROUNDS if is_exchange or candidates.problem.any_goals else 0,
+        active,
+        near,
+    ):
         return None
     _meet_goals(candidates, now, *state, deadline)
     if is_exchange:

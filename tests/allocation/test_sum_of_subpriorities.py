@@ -67,6 +67,8 @@ def test_no_plan_with_the_same_numbers_of_targets_exceeds_the_bound(chunk):
     assert n_unproven > 0
 
 
+@pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
+@pytest.mark.filterwarnings("ignore:no target of the highest priority")
 def test_the_sum_is_the_largest_of_plans_that_follow_rules_on_the_distribution_of_fibers():
     n_searched = 0
     for seed in range(12):

@@ -18,7 +18,10 @@ from rfpsurvey.allocation._local_search import repair_collisions, stand
 from rule_scenes import CENTER, MM, Scene
 
 CHUNK, N_SCENES = 25, 500
-pytestmark = pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
+pytestmark = [
+    pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost"),
+    pytest.mark.filterwarnings("ignore:no target of the highest priority"),
+]
 
 
 def checked(scene, tile):
