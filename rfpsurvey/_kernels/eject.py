@@ -161,7 +161,7 @@ def undo(options, goals, plan, move):
 
 @inner_kernel
 def gain_of(goals, move):
-    """Return a number above 0 if the steps of a move make the plan better, 0 if they change no objective."""
+    """Return a number above 0 if a move makes the plan better, below 0 if worse, and 0 if no objective changes."""
     sums, net, first = move.sums, move.net, np.int64(goals.n_classes + 1)
     for k in range(3 + goals.all_first):
         if sums[k] != 0:
@@ -250,7 +250,8 @@ def attempt(i, c, steady, fixed, options, goals, plan, move, blockers):
         old = before[k]
         if old < 0 or chosen[move.own[k]] == old:
             continue
-        t, n_places, n_both = target[old], indptr[old + 1] - indptr[old], indptr[old + 1] - indptr[old]
+        t, n_places = target[old], indptr[old + 1] - indptr[old]
+        n_both = n_places
         if t >= 0 and holder[t] < 0:
             n_both += options.t_indptr[t + 1] - options.t_indptr[t]
         for p in range(n_both):

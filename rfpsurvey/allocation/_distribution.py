@@ -54,7 +54,8 @@ def lack_of(problem, rule: Distribution, target_of: np.ndarray) -> int:
 
 def lost_to_rules(problem, free: np.ndarray, target_of: np.ndarray) -> int:
     """Return how many more science targets than a plan another plan, which ignores the rules, observes."""
-    return int(sum(sign * problem.science[plan[plan >= 0]].sum() for sign, plan in ((1, free), (-1, target_of))))
+    most, n = (int(problem.science[plan[plan >= 0]].sum()) for plan in (free, target_of))
+    return most - n
 
 
 def pairs_within(first: np.ndarray, second: np.ndarray, distance: float) -> tuple[np.ndarray, np.ndarray]:

@@ -13,13 +13,13 @@ from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 ROUNDS = 10
 # Rounds of ejection moves, rounds without a better plan after which they end, and probability of a move to an equally
 # good target: for arms that reach beyond the adjacent positioners, for their last stage, in which the sum of the
-# subpriorities counts, for shorter arms, and for less than SMALL positioners, which take little time.
-LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS, FEW_ARMS = (100, 20, 0.3), (30, 10, 0.5), (3, 3, 0.1), (300, 60, 0.3)
+# subpriorities counts, for shorter arms, and for fewer than SMALL positioners, which take little time.
+LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS, FEW_ARMS = (100, 20, 0.3), (32, 10, 0.5), (3, 3, 0.1), (300, 60, 0.3)
 # Mean number of positioners that share targets with a positioner, up to which arms are short: the six adjacent ones.
 ADJACENT, SMALL = 6, 300
 # Number of rounds before the clock is read again, and first number of the random numbers.
 TOGETHER, SEED = 4, 20
-# Largest number of lost targets of the best class that are tried again with fewer other goals.
+# Largest number of lost targets of the best class that are tried again at the expense of less important targets.
 MOST_LOST = 8
 # Number of collisions of candidates that are tested before the clock is read again.
 BATCH = 2_000_000
@@ -126,22 +126,15 @@ def repair_collisions(
     chosen = np.where(chosen < 0, options.start[1:] - 1, chosen)
     now, *state = stand(candidates, drop_neighbors(candidates, chosen) if candidates.spreads else chosen)
     first = _order(candidates, now)
-    if not _repair(
-        options,
-        first,
-        now,
-        *state,
-        deadline,
-        ROUNDS if is_exchange or candidates.problem.any_goals else 0,
-        active,
-        near,
-    ):
+    # with requirements and rules, ejection moves find better plans if they begin after exchanges
+    n_rounds = ROUNDS if is_exchange or candidates.problem.any_goals else 0
+    if not _repair(options, first, now, *state, deadline, n_rounds, active, near):
         return None
     _meet_goals(candidates, now, *state, deadline)
     if is_exchange:
         return now
     now = improve(candidates, now, deadline, near=near, steady=steady)
-    return _recover(candidates, now, deadline) if candidates.problem.any_goals else now
+    return _recover(candidates, now, deadline, steady) if candidates.problem.any_goals else now
 
 
 def _order(candidates, now):
@@ -169,7 +162,7 @@ def _meet_goals(candidates, now, blocked, holder, deadline):
         add_neighbors(candidates, spread, deadline, *state)
 
 
-def _recover(candidates, chosen, deadline):
+def _recover(candidates, chosen, deadline, steady):
     """Return a plan with targets of the best class that a plan lacks, if only few of them are lost to other goals."""
     options, values, held = candidates.options, candidates.problem.level_values, candidates.held
     wanted = np.unique(options.target[options.rank == 0])
@@ -178,8 +171,8 @@ def _recover(candidates, chosen, deadline):
         return chosen
     for c in np.flatnonzero(np.isin(options.target, lost) & (options.rank == 0)):
         now, blocked, holder = state = stand(candidates, chosen)
-        others = options.own[options.other[options.indptr[c] : options.indptr[c + 1]]]
-        others = np.unique(others[np.isin(now[others], options.other[options.indptr[c] : options.indptr[c + 1]])])
+        excluded = options.other[options.indptr[c] : options.indptr[c + 1]]
+        others = options.own[excluded[now[options.own[excluded]] == excluded]]
         if holder[options.target[c]] >= 0 or (np.diff(options.start)[others] == 1).any() or left(deadline) == 0:
             continue
         for j in others:
@@ -195,7 +188,7 @@ def _recover(candidates, chosen, deadline):
         if (blocked[now] > 0).any() or (held[:, now].sum(axis=1) > candidates.limits[1]).any():
             continue
         if tuple(values(options.target[now])) > tuple(values(options.target[chosen])):
-            chosen = improve(candidates, now, deadline)
+            chosen = improve(candidates, now, deadline, steady=steady)
     return chosen
 
 
@@ -220,19 +213,11 @@ def improve(
         stages.append((goals, *(LONG_ARMS_LAST if stages else SHORT_ARMS)))
     for some, n_rounds, patience, equal in stages:
         progress[1] = 0
-        for _ in range(0, n_rounds, TOGETHER):
-            if left(deadline) > 0:
-                eject(
-                    min(n_rounds, TOGETHER),
-                    patience,
-                    0.0 if steady else equal,
-                    fixed,
-                    options,
-                    some,
-                    plan,
-                    order,
-                    progress,
-                )
+        together, equal = min(n_rounds, TOGETHER), 0.0 if steady else equal
+        for _ in range(0, n_rounds, together):
+            if left(deadline) == 0 or progress[1] >= patience:
+                break
+            eject(together, patience, equal, fixed, options, some, plan, order, progress)
     return plan.chosen
 
 

@@ -123,7 +123,9 @@ def plan_tile(
     -----
     RfpsurveyWarning
         If an option that the allocator does not use is given, if identifiers occur twice, if no target has the
-        category that a requirement counts, or if the field violates a constraint whatever targets are assigned.
+        category that a requirement counts, if the field violates a constraint whatever targets are assigned, if rules
+        on the distribution of fibers cost more than 3 % of the science targets, or if no target of the highest priority
+        has a fiber although at least one is in reach.
 
     Examples
     --------
