@@ -16,7 +16,7 @@ MOST_BLOCKERS, MOST_STEPS = 4, 64
 # Weight of a required target in comparisons of two candidates, which is larger than any number of requirements.
 REQUIRED = 1 << 40
 # Number of values of the random number that is compared with a probability.
-MANY = 1 << 30
+MANY = np.int64(1 << 30)
 # Differences of sums of subpriorities up to this number are rounding errors.
 EQUAL = 1e-12
 
@@ -65,7 +65,7 @@ class Plan(NamedTuple):
 
 
 class Move(NamedTuple):
-    """The steps of a move, and the changes that they make."""
+    """The steps of a move, the changes that they make, and the positioners that block the new candidate."""
 
     n: np.ndarray
     """Number of steps, shape (1,)."""
@@ -78,6 +78,14 @@ class Move(NamedTuple):
     """Number of changed classes, followed by these classes."""
     net: np.ndarray
     """Change of the number of targets of each class."""
+    blockers: np.ndarray
+
+
+def new_move(n_classes: int) -> Move:
+    """Return a move without steps."""
+    numbers = (np.zeros(n, dtype=np.int64) for n in (1, 2 * MOST_STEPS, 2 * MOST_STEPS))
+    ranks, net, blockers = (np.zeros(n, dtype=np.int64) for n in (8 * MOST_STEPS, n_classes + 2, MOST_BLOCKERS))
+    return Move(*numbers, np.zeros(5), ranks, net, blockers)
 
 
 @inner_kernel
@@ -213,13 +221,13 @@ def best_of(i, options, goals, plan):
 
 
 @inner_kernel
-def attempt(i, c, steady, fixed, options, goals, plan, move, blockers):
+def attempt(i, c, steady, fixed, options, goals, plan, move):
     """Try to assign candidate c to positioner i, and return the gain of the move.
 
     The move is undone if the gain is negative or, with ``steady``, not above 0. The positioners that block the
     candidate take their best free candidates; then other positioners take the places and the targets that became free.
     """
-    chosen, blocked, holder, before = plan.chosen, plan.blocked, plan.holder, move.before
+    chosen, blocked, holder, before, blockers = plan.chosen, plan.blocked, plan.holder, move.before, move.blockers
     rank, target, indptr, other, worth = options.rank, options.target, options.indptr, options.other, goals.worth
     m, t = 0, target[c]
     if t >= 0 and holder[t] >= 0 and holder[t] != i:
@@ -279,7 +287,7 @@ def draw(n, progress):
 
 
 @kernel
-def eject(n_rounds, patience, equal, fixed, options, goals, plan, order, progress):
+def eject(n_rounds, patience, equal, fixed, options, goals, plan, move, order, progress):
     """Improve a plan without collisions by rounds of ejection moves, in place.
 
     In each round, each positioner, in random order, tries one random candidate that is better than its own or, with the
@@ -287,16 +295,7 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, order, progres
     ``patience`` rounds have found no better plan. ``progress`` contains the state of the random number generator, and
     the number of the last rounds without a better plan.
     """
-    rank, start, count, most_steps = options.rank, options.start, plan.count, 2 * MOST_STEPS
-    move = Move(
-        np.zeros(1, np.int64),
-        np.empty(most_steps, np.int64),
-        np.empty(most_steps, np.int64),
-        np.zeros(5),
-        np.zeros(4 * most_steps, np.int64),
-        np.zeros(goals.n_classes + 2, np.int64),
-    )
-    blockers = np.empty(MOST_BLOCKERS, np.int64)
+    rank, start, count = options.rank, options.start, plan.count
     lack = 0.0
     for g in range(count.size):
         lack += max(goals.least[g] - count[g], 0)
@@ -319,6 +318,6 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, order, progres
                     n += 1
                     if draw(n, progress) == 0:
                         picked = c
-            if picked >= 0 and attempt(i, picked, equal == 0, fixed, options, goals, plan, move, blockers) > 0:
+            if picked >= 0 and attempt(i, picked, equal == 0, fixed, options, goals, plan, move) > 0:
                 lack -= move.sums[2]
                 progress[1] = np.uint64(0)

@@ -4,7 +4,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
-from rfpsurvey._kernels.eject import Goals, Plan, eject
+from rfpsurvey._kernels.eject import Goals, Plan, eject, new_move
 from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._distribution import add_neighbors, drop_neighbors, drop_unserved, pairs_within
@@ -205,7 +205,7 @@ def improve(
     goals, fixed, order = _goals(candidates), np.diff(options.start) == 1, np.arange(len(chosen))
     if near is not None:
         fixed |= ~near
-    plan = _plan(candidates, chosen, goals)
+    plan, move = _plan(candidates, chosen, goals), new_move(goals.n_classes)
     plain, progress = goals._replace(worth=np.zeros(len(options.own))), np.array([SEED, 0], dtype=np.uint64)
     is_small, is_long = len(chosen) < SMALL, problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
     stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
@@ -217,7 +217,7 @@ def improve(
         for _ in range(0, n_rounds, together):
             if left(deadline) == 0 or progress[1] >= patience:
                 break
-            eject(together, patience, equal, fixed, options, some, plan, order, progress)
+            eject(together, patience, equal, fixed, options, some, plan, move, order, progress)
     return plan.chosen
 
 

@@ -17,8 +17,10 @@ from rfpsurvey.allocation._local_plans import (
     AT_LEAST,
     MOST_PAIRS,
     Found,
+    Repaired,
     better_of,
     local_optimum,
+    plan_of,
     repaired_plan,
     unproven,
     values_of,
@@ -51,8 +53,8 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
 # The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the
-# time limit, or if the mean number of collisions per candidate exceeds LONG. Otherwise, it is made only if the search
-# does not prove an optimum.
+# time limit, if the mean number of collisions per candidate exceeds LONG, or if there are more than LARGEST candidates;
+# the search then starts from this plan. Otherwise, it is made only if the search does not prove an optimum.
 LATE, LONG = 0.1, 12
 # A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost_rule`` misses
 # them by less than the fraction NEARLY.
@@ -100,7 +102,8 @@ def decide(
     is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
     if collide and is_long and not is_late and whole and not squared_cost:
         found = local_optimum(given, everything)
-    if collide and (is_long or is_late) and found is None:
+    is_large = whole and len(everything) > LARGEST
+    if collide and (is_long or is_late or is_large) and found is None:
         repaired = repaired_plan(given, everything, whole)
         if left(deadline) < spent:
             found = unproven(everything, repaired)
@@ -110,7 +113,7 @@ def decide(
     is_searched = found is None
     if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
-        used, found = _search(everything, end, collide=collide, **options)
+        used, found = _search(everything, end, collide=collide, repaired=repaired, **options)
     else:
         used = everything
     chosen, bounds, bounding = found.chosen, found.bounds, used
@@ -261,18 +264,19 @@ def _whole(bound):
     return np.floor(bound + ROUNDING)
 
 
-def _search(everything: Candidates, deadline: float, *, collide: bool, integral: bool, squared_cost: bool):
-    """Return the candidates that the search used, and the best plan that it found."""
+def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
+    """Return the candidates that the search used, and the best plan that it found, beginning with that of ``repair``."""
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
-    start = _plan(used, blind, collide, share(deadline, FOR_REPAIR))
-    found = _solve(used, blind, start, deadline, collide=collide, integral=integral, squared_cost=squared_cost)
+    end = share(deadline, FOR_REPAIR)
+    start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, end)[0]
+    found = _solve(used, blind, start, deadline, collide=collide, **options)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
-    if (found.values < found.bounds).any() and collide:
+    if (found.values < found.bounds).any() and collide and (found.chosen != start).any():
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
         return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
     return used, found
