@@ -73,7 +73,8 @@ class Move(NamedTuple):
     before: np.ndarray
     """Positioner of each step, and its candidate before the step."""
     sums: np.ndarray
-    """Changes of: excess over maxima (negative), required targets, lack (negative), science targets, subpriorities."""
+    """Changes of: excess over maxima (negative), required targets, lack (negative), science targets, subpriorities,
+    and the sum of the costs."""
     ranks: np.ndarray
     """Number of changed classes, followed by these classes."""
     net: np.ndarray
@@ -85,7 +86,7 @@ def new_move(n_classes: int) -> Move:
     """Return a move without steps."""
     numbers = (np.zeros(n, dtype=np.int64) for n in (1, 2 * MOST_STEPS, 2 * MOST_STEPS))
     ranks, net, blockers = (np.zeros(n, dtype=np.int64) for n in (8 * MOST_STEPS, n_classes + 2, MOST_BLOCKERS))
-    return Move(*numbers, np.zeros(5), ranks, net, blockers)
+    return Move(*numbers, np.zeros(6), ranks, net, blockers)
 
 
 @inner_kernel
@@ -118,6 +119,7 @@ def step(i, c, options, goals, plan, move):
         sums[1] += sign * goals.required[d]
         sums[3] += sign * (rank[d] < goals.n_classes)
         sums[4] += sign * goals.worth[d]
+        sums[5] += sign * options.cost[d]
         if rank[d] <= goals.n_classes:
             if net[rank[d]] == 0:
                 move.ranks[0] += 1
@@ -221,11 +223,12 @@ def best_of(i, options, goals, plan):
 
 
 @inner_kernel
-def attempt(i, c, steady, fixed, options, goals, plan, move):
+def attempt(i, c, equal, fixed, options, goals, plan, move):
     """Try to assign candidate c to positioner i, and return the gain of the move.
 
-    The move is undone if the gain is negative or, with ``steady``, not above 0. The positioners that block the
-    candidate take their best free candidates; then other positioners take the places and the targets that became free.
+    The positioners that block the candidate take their best free candidates; then other positioners take the places and
+    the targets that became free. The move is undone if the gain is negative, or if it is 0 and ``equal`` excludes the
+    move.
     """
     chosen, blocked, holder, before, blockers = plan.chosen, plan.blocked, plan.holder, move.before, move.blockers
     rank, target, indptr, other, worth = options.rank, options.target, options.indptr, options.other, goals.worth
@@ -274,7 +277,7 @@ def attempt(i, c, steady, fixed, options, goals, plan, move):
                 if e >= 0 and e != now:
                     step(j, e, options, goals, plan, move)
     gain = gain_of(goals, move)
-    if gain < 0 or (steady and gain == 0):
+    if gain < 0 or (gain == 0 and (equal == 0 or (equal == 1 and move.sums[5] >= 0))):
         undo(options, goals, plan, move)
     return gain
 
@@ -291,11 +294,12 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, move, order, p
     """Improve a plan without collisions by rounds of ejection moves, in place.
 
     In each round, each positioner, in random order, tries one random candidate that is better than its own or, with the
-    probability ``equal``, equally good; if this is 0, only moves that make the plan better are kept. The moves end when
-    ``patience`` rounds have found no better plan. ``progress`` contains the state of the random number generator, and
-    the number of the last rounds without a better plan.
+    probability ``equal``, equally good; if this is 0, only moves that make the plan better are kept; if it is 1, only
+    these moves and those that reduce the cost of an equally good plan. The moves end after ``patience`` rounds without a
+    better plan. ``progress`` contains the state of the random number generator, and the number of the last rounds
+    without a better plan.
     """
-    rank, start, count = options.rank, options.start, plan.count
+    rank, cost, start, count = options.rank, options.cost, options.start, plan.count
     lack = 0.0
     for g in range(count.size):
         lack += max(goals.least[g] - count[g], 0)
@@ -314,10 +318,12 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, move, order, p
             for c in range(start[i], start[i + 1]):
                 if c == now or options.target[c] < 0:
                     continue
+                if rank[c] == rank[now] and equal == 1 and cost[c] >= cost[now]:
+                    continue
                 if rank[c] <= last or (lack > 0 and filled(c, now, goals, count) > 0) or goals.required[c]:
                     n += 1
                     if draw(n, progress) == 0:
                         picked = c
-            if picked >= 0 and attempt(i, picked, equal == 0, fixed, options, goals, plan, move) > 0:
+            if picked >= 0 and attempt(i, picked, equal, fixed, options, goals, plan, move) > 0:
                 lack -= move.sums[2]
                 progress[1] = np.uint64(0)

@@ -51,7 +51,9 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: boo
     """
     before = lamost_rule(problem).target_of_positioner
     if whole:
-        candidates = find_candidates(problem, keep_target=before, most_pairs=0)
+        candidates = find_candidates(
+            problem, keep_target=before, most_pairs=0, squared_cost=problem.options.moves == "ejection"
+        )
         first, seconds = pick(candidates, trim(problem, before)), max(left(problem.deadline), AT_LEAST)
         with suppress(OutOfTimeError):
             candidates, plan = repair_nearby(candidates, first, seconds=seconds, most_pairs=MOST_PAIRS)

@@ -14,7 +14,9 @@ ROUNDS = 10
 # Rounds of ejection moves, rounds without a better plan after which they end, and probability of a move to an equally
 # good target: for arms that reach beyond the adjacent positioners, for their last stage, in which the sum of the
 # subpriorities counts, for shorter arms, and for fewer than SMALL positioners, which take little time.
-LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS, FEW_ARMS = (100, 20, 0.3), (32, 10, 0.5), (3, 3, 0.1), (300, 60, 0.3)
+LONG_ARMS, LONG_ARMS_LAST, SHORT_ARMS, FEW_ARMS = (100, 20, 0.3), (32, 10, 0.5), (2, 2, 0.1), (300, 60, 0.3)
+# Rounds of moves to better or nearer targets at the end, for long arms or few positioners, and for others.
+NEAR_LONG, NEAR_SHORT = 8, 1
 # Mean number of positioners that share targets with a positioner, up to which arms are short: the six adjacent ones.
 ADJACENT, SMALL = 6, 300
 # Number of rounds before the clock is read again, and first number of the random numbers.
@@ -211,6 +213,9 @@ def improve(
     stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
     if goals.worth.any() or not stages:
         stages.append((goals, *(LONG_ARMS_LAST if stages else SHORT_ARMS)))
+    if not steady:
+        n_last = NEAR_LONG if is_small or is_long else NEAR_SHORT
+        stages.append((goals, n_last, n_last, 1.0))
     for some, n_rounds, patience, equal in stages:
         progress[1] = 0
         together, equal = min(n_rounds, TOGETHER), 0.0 if steady else equal

@@ -138,7 +138,9 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
-    everything = find_candidates(problem, keep_target=before, most_pairs=0)
+    everything = find_candidates(
+        problem, keep_target=before, most_pairs=0, squared_cost=problem.options.moves == "ejection"
+    )
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
     first = pick(everything, trim(problem, before), side)
     candidates, chosen = repair_nearby(everything, first, steady=is_plan(problem.options.start))

@@ -265,7 +265,7 @@ def _whole(bound):
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
-    """Return the candidates that the search used, and the best plan that it found, beginning with that of ``repair``."""
+    """Return the candidates that the search used, and the best plan that it found, from the plan ``repaired`` on."""
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
