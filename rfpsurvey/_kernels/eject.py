@@ -295,8 +295,8 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, move, order, p
 
     In each round, each positioner, in random order, tries one random candidate that is better than its own or, with the
     probability ``equal``, equally good; if this is 0, only moves that make the plan better are kept; if it is 1, only
-    these moves and those that reduce the cost of an equally good plan. The moves end after ``patience`` rounds without a
-    better plan. ``progress`` contains the state of the random number generator, and the number of the last rounds
+    these moves and those that reduce the cost of an equally good plan. The moves end after ``patience`` rounds without
+    a better plan. ``progress`` contains the state of the random number generator, and the number of the last rounds
     without a better plan.
     """
     rank, cost, start, count = options.rank, options.cost, options.start, plan.count
