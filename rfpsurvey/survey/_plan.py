@@ -35,6 +35,7 @@ from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
 from rfpsurvey.survey._survey import Survey
+from rfpsurvey.tile import warn_of_costly_rules
 from rfpsurvey.tiling import Tiling, as_tiling, times_of_tiles, warn_of_programs, warn_of_targets
 
 log = logging.getLogger("rfpsurvey")
@@ -179,6 +180,7 @@ def plan_survey(
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
         warn(text)
+    warn_of_costly_rules(survey.summary.get("n_lost_to_rules", 0), survey.summary["n_science"])
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
 

@@ -8,7 +8,7 @@ from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._bookkeeping import Bookkeeping
 from rfpsurvey.survey._history import state_columns
 from rfpsurvey.survey._unmet import UNKNOWN, rule_records, sentences_of, texts_of, without_shortfalls
-from rfpsurvey.survey._work import MOTION
+from rfpsurvey.survey._work import LOST, MOTION
 from rfpsurvey.tile import describe, model_sentence
 from rfpsurvey.tiling import when_of
 
@@ -37,6 +37,7 @@ TILES = {
     "n_unfolding_pairs": "number of pairs of arms that collide while they unfold",
     "n_unfolding_obstacle_collisions": "number of collisions of unfolding arms with obstacles",
     "n_needs_planner": "number of positioners that need a path planner",
+    "n_lost_to_rules": "number of science targets that the rules on the distribution of fibers cost",
     "n_unmet": "number of requirements that are not met",
     "unmet": "requirements that are not met, with the numbers of missing targets",
     "not_checkable": "constraints that are not checkable, because the plan lacks their data",
@@ -62,6 +63,8 @@ def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, 
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     table["round"] = round_of
     counts, lacking = without_shortfalls(counts)
+    if request.joint is not None:
+        counts.pop(LOST, None)  # a joint plan does not determine this number
     for name, values in {**({} if request.state is None else state_columns(request)), **counts}.items():
         table[name] = values
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
@@ -112,6 +115,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking) -> dict:
         **({"margins": str(margins)} if (margins := request.instrument.focal_plane.margins) else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         **{name: total[name] for name, _ in MOTION.values() if name in total},
+        **({LOST: total[LOST]} if total.get(LOST) else {}),
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "collision_rate_assigned": total["n_colliding_assigned"] / max(total["n_assigned"], 1),
         "n_unmet": total["n_unmet"],

@@ -23,7 +23,17 @@ from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import UNKNOWN, WORDS, counts_in
-from rfpsurvey.survey._work import COUNTS, N_FIELD, N_LOST, Done, cards_of, early_sentences, reach_of, work
+from rfpsurvey.survey._work import (
+    COUNTS,
+    LOST_TO_RULES,
+    N_FIELD,
+    N_LOST,
+    Done,
+    cards_of,
+    early_sentences,
+    reach_of,
+    work,
+)
 
 # Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
 IN_FLIGHT = 256
@@ -243,8 +253,8 @@ def _done_of(part: bytes, job, *, is_kept: bool = False) -> Done:
     counted = every = cards_of(job.model.options)
     if is_kept:
         counted = {card: one for card, one in counted.items() if card in cards or not one[0].startswith(WORDS)}
-    # files of earlier versions do not state whether constraints are checkable, and the number of lost targets
-    optional = [card for card, one in counted.items() if card == N_LOST or one[0].startswith(UNKNOWN)]
+    # files of earlier versions do not state whether constraints are checkable, and the numbers of lost targets
+    optional = [card for card, one in counted.items() if card in (N_LOST, *LOST_TO_RULES) or one[0].startswith(UNKNOWN)]
     counted = {card: one for card, one in counted.items() if card in cards or card not in optional}
     lacking += [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:

@@ -43,6 +43,13 @@ MOTION = {
 }
 """Header cards of the file of a tile if a constraint of the plan refers to the motion of the arms."""
 
+LOST = "n_lost_to_rules"
+LOST_TO_RULES = {"NLOSTRUL": (LOST, "science targets that rules cost")}
+"""Header card of the file of a tile if rules refer to the distribution of fibers, and the allocator complies with them.
+
+Tiles of joint plans, and of earlier versions, do not have this card.
+"""
+
 VISITS = {
     "target_id": "identifier of the target",
     "target_row": "row in the catalog, -1 for blank sky",
@@ -174,6 +181,7 @@ def work(job: Job) -> Done:
         "n_colliding_pairs": len(report.pairs),
         "n_obstacle_collisions": len(report.obstacle_pairs),
         **({} if report.motion is None else report.motion.counts),
+        **({LOST: max(plan.allocation.meta[LOST], 0)} if LOST in plan.allocation.meta else {}),
         "n_unmet": len(plan.allocation.unmet),
         **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
     }
@@ -183,7 +191,9 @@ def work(job: Job) -> Done:
     cards |= {"RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
-    cards.update((card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items())
+    cards.update(
+        (card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items() if name in counts
+    )
     part = visits = None
     if job.as_file:
         part = fits_bytes(columns, cards, model.cards(tuple(columns)))
@@ -202,7 +212,13 @@ def plan_digest(tile: int | str, positioner: np.ndarray, target_id: np.ndarray) 
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
-    return {**COUNTS, **(MOTION if options.motion_law else {}), **shortfall_cards(options)}
+    is_lossy = options.distributions and options.method.distribution != "no"
+    return {
+        **COUNTS,
+        **(MOTION if options.motion_law else {}),
+        **(LOST_TO_RULES if is_lossy else {}),
+        **shortfall_cards(options),
+    }
 
 
 def plan_of(job: Job) -> FieldPlan:

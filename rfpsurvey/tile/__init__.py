@@ -4,7 +4,7 @@ from rfpsurvey.tile._build import versions
 from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TARGET_COLUMNS, TILE_COLUMNS, describe, with_unit
 from rfpsurvey.tile._field import north_of_date
 from rfpsurvey.tile._model import collision_shape, model_sentence
-from rfpsurvey.tile._plan import plan_tile
+from rfpsurvey.tile._plan import plan_tile, warn_of_costly_rules
 from rfpsurvey.tile._score import score_tile
 from rfpsurvey.tile._tile import Tile
 
@@ -21,5 +21,6 @@ __all__ = [
     "plan_tile",
     "score_tile",
     "versions",
+    "warn_of_costly_rules",
     "with_unit",
 ]

@@ -201,12 +201,7 @@ def plan_tile(
         counts_by_kind(catalog, rows[builder.visits[: len(rows)] > 0], plan),
     )
     n_lost = max(allocation.meta.get("n_lost_to_rules", 0), 0)
-    n_free = n_lost + kinds["science"]["n_assigned"]
-    if n_lost > COSTLY * n_free:
-        warn(
-            f"the rules on the distribution of fibers cost {n_lost} of the {n_free} science targets that a plan "
-            "without these rules observes"
-        )
+    warn_of_costly_rules(n_lost, kinds["science"]["n_assigned"])
     if options.method.uses_priorities and (text := _lost_class(allocation, targets.columns)):
         warn(text)
     summary = {
@@ -267,6 +262,16 @@ def _refuse_empty(builder: FieldBuilder, n: int) -> None:
     remedy = "requirements such as 'sky=20' also assign targets of other kinds"
     remedy = remedy if builder.visits[:n].any() else "the column of visits states 0 for all of them"
     raise InputError(f"none of the {len(science)} targets in the field {what}; {remedy}")
+
+
+def warn_of_costly_rules(n_lost: int, n_science: int) -> None:
+    """Warn if the rules on the distribution of fibers cost a large fraction of the science targets."""
+    n_free = n_lost + n_science
+    if n_lost > COSTLY * n_free:
+        warn(
+            f"the rules on the distribution of fibers cost {n_lost} of the {n_free} science targets that plans without "
+            "these rules observe"
+        )
 
 
 def _lost_class(allocation, columns) -> str:

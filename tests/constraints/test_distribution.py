@@ -257,3 +257,34 @@ def test_a_plan_states_the_targets_that_rules_cost(allocator):
     assert len(texts) == (most - n > 0.03 * most)
     assert all(one.startswith(text) for one in texts)
     assert allocator == "repair" or texts
+
+
+@pytest.mark.filterwarnings("default:the rules on the distribution of fibers cost")
+def test_a_survey_states_the_targets_that_rules_cost(tmp_path):
+    """The first tile uses the visits of all targets that it observes; the numbers are those of single tiles."""
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 0.5 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=20 * u.mm)
+    instrument = rs.Instrument("small", plane, plate_scale=100 * u.mm / u.deg)
+    offsets = np.random.default_rng(1).uniform(-0.7, 0.7, (90, 2)) * u.deg
+    kind = np.where(np.arange(90) < 2, "sky", "science")
+    catalog = rs.Catalog(SkyCoord(30 * u.deg + offsets[:, 0], offsets[:, 1]), kind=kind)
+    tiles = SkyCoord([30, 30.1], [0, 0], unit="deg")
+    options = rs.AllocationOptions("optimal", constraints=["distribution sky 1 95 20"])
+
+    def survey(options, **where):
+        return rs.plan_survey(catalog, instrument, tiles, allocator=options, **where)
+
+    with pytest.warns(rs.errors.RfpsurveyWarning, match="the rules on the distribution of fibers cost") as found:
+        planned = survey(options, folder=tmp_path / "survey")
+    first = rs.plan_tile(catalog, instrument, tiles[0], allocator=options).summary
+    assert planned.tiles["n_lost_to_rules"][0] == first["n_lost_to_rules"] > 0
+    n_lost, n_science = planned.tiles["n_lost_to_rules"].sum(), planned.tiles["n_science"].sum()
+    assert planned.summary["n_lost_to_rules"] == n_lost
+    texts = [str(one.message) for one in found]
+    assert sum(f"cost {n_lost} of the {n_lost + n_science} science" in text for text in texts) == 1
+    assert rs.Survey.read(tmp_path / "survey").summary["n_lost_to_rules"] == n_lost
+    (tmp_path / "survey" / "tiles.fits").unlink()
+    again = survey(options, folder=tmp_path / "survey", resume=True)
+    assert again.tiles["n_lost_to_rules"].tolist() == planned.tiles["n_lost_to_rules"].tolist()
+    for other in (rs.JointOptions(allocator=options), "optimal"):
+        assert "n_lost_to_rules" not in survey(other).summary

@@ -23,7 +23,7 @@ from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
 )
-from rfpsurvey.survey._work import COUNTS, MOTION, N_LOST
+from rfpsurvey.survey._work import COUNTS, LOST_TO_RULES, MOTION, N_LOST
 
 CHECKPOINT = f"{EVENTS}/state.npz"
 MOST_VISITS = 255
@@ -168,7 +168,7 @@ class Replay:
             self.counts[event.row] = {
                 name: value
                 for name, value in cards.items()
-                if name in {**COUNTS, **MOTION} or name.startswith(("MISS", "MORE", "VIOL", "NOTC"))
+                if name in {**COUNTS, **MOTION, **LOST_TO_RULES} or name.startswith(("MISS", "MORE", "VIOL", "NOTC"))
             }
             # files of earlier versions do not contain this number
             self.counts[event.row].setdefault(N_LOST, int(visits["in_collision"].sum()))
