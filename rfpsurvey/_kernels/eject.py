@@ -11,8 +11,10 @@ from rfpsurvey._jit import inner_kernel, kernel
 from rfpsurvey._kernels.hashing import GOLDEN, mix
 
 NONE = np.int64(-1)
-# Largest numbers of positioners that lose their candidates at the start of a move, and of steps of a move.
+# Largest numbers of positioners that lose their candidates at the start of a move, and of steps of a move, and of
+# positioners that are looked at, and of those that are tried, in order to meet requirements after a move.
 MOST_BLOCKERS, MOST_STEPS = 4, 64
+MOST_SCANNED, MOST_TRIED = 1000, 24
 # Weight of a required target in comparisons of two candidates, which is larger than any number of requirements.
 REQUIRED = 1 << 40
 # Number of values of the random number that is compared with a probability.
@@ -223,7 +225,39 @@ def best_of(i, options, goals, plan):
 
 
 @inner_kernel
-def attempt(i, c, equal, fixed, options, goals, plan, move):
+def draw(n, progress):
+    """Return the next random whole number from 0 to n - 1."""
+    progress[0] += GOLDEN
+    return np.int64(((mix(progress[0]) >> np.uint64(32)) * np.uint64(n)) >> np.uint64(32))
+
+
+@inner_kernel
+def balance(least, fixed, options, goals, plan, move, progress):
+    """Let positioners with less important targets than ``least`` take candidates that requirements need.
+
+    Such a positioner can be anywhere in the focal plane. The search begins with a random positioner, and ends after
+    MOST_SCANNED positioners, or MOST_TRIED of them that have less important targets.
+    """
+    sums, n, n_tried = move.sums, fixed.size, 0
+    first = draw(n, progress)
+    for k in range(min(n, MOST_SCANNED)):
+        if (sums[0] >= 0 and sums[2] >= 0) or n_tried == MOST_TRIED or move.n[0] + 2 > MOST_STEPS:
+            break
+        j = first + k if first + k < n else first + k - n
+        now = plan.chosen[j]
+        if fixed[j] or options.rank[now] <= least:
+            continue
+        n_tried += 1
+        before = sums[0] + sums[2]
+        d = best_of(j, options, goals, plan)
+        if d >= 0 and d != now:
+            step(j, d, options, goals, plan, move)
+            if sums[0] + sums[2] <= before:
+                step(j, now, options, goals, plan, move)
+
+
+@inner_kernel
+def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
     """Try to assign candidate c to positioner i, and return the gain of the move.
 
     The positioners that block the candidate take their best free candidates; then other positioners take the places and
@@ -276,17 +310,12 @@ def attempt(i, c, equal, fixed, options, goals, plan, move):
                 e = best_of(j, options, goals, plan)
                 if e >= 0 and e != now:
                     step(j, e, options, goals, plan, move)
+    if move.sums[0] < 0 or move.sums[2] < 0:
+        balance(rank[c], fixed, options, goals, plan, move, progress)
     gain = gain_of(goals, move)
     if gain < 0 or (gain == 0 and (equal == 0 or (equal == 1 and move.sums[5] >= 0))):
         undo(options, goals, plan, move)
     return gain
-
-
-@inner_kernel
-def draw(n, progress):
-    """Return the next random whole number from 0 to n - 1."""
-    progress[0] += GOLDEN
-    return np.int64(((mix(progress[0]) >> np.uint64(32)) * np.uint64(n)) >> np.uint64(32))
 
 
 @kernel
@@ -324,6 +353,6 @@ def eject(n_rounds, patience, equal, fixed, options, goals, plan, move, order, p
                     n += 1
                     if draw(n, progress) == 0:
                         picked = c
-            if picked >= 0 and attempt(i, picked, equal, fixed, options, goals, plan, move) > 0:
+            if picked >= 0 and attempt(i, picked, equal, fixed, options, goals, plan, move, progress) > 0:
                 lack -= move.sums[2]
                 progress[1] = np.uint64(0)
