@@ -36,22 +36,22 @@ class Survey:
     tiles : QTable
         Table with a row for each tile, in the order of the tiling: ``tile``, ``ra``, ``dec``, ``position_angle``,
         ``pass``, ``round`` (tiles of a round do not share targets), ``n_in_field`` (targets in the field that still
-        require a visit), ``n_reachable`` (number of these targets in reach of a positioner), ``n_assigned``
-        (usable positioners with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this
-        kind), ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (usable ones of them with a target),
+        require a visit), ``n_reachable`` (these targets in reach of a positioner), ``n_assigned`` (usable positioners
+        with a target), ``n_science``, ``n_standard``, ``n_sky`` (positioners with a target of this kind),
+        ``n_colliding`` (positioners in collision), ``n_colliding_assigned`` (usable ones of them with a target),
         ``n_counted`` (positioners that have a target or are parked), ``n_colliding_pairs`` (pairs of arms in
         collision), ``n_obstacle_collisions`` (collisions with obstacles), ``n_unfolding_pairs``,
         ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,
         see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms unfold, and positioners
-        that need a path planner), ``n_lost_to_rules`` (if there are rules on the distribution of fibers: science
-        targets that these rules cost, not for joint plans), ``n_unmet`` (requirements that are not met; all required
-        targets of a tile count as one requirement, and so do all keep-out circles), ``unmet`` (if there are
-        requirements or required targets: the requirements that are not met, with the numbers of missing targets),
-        ``not_checkable`` (if there are rules: those for which this tile lacks data), ``n_observed`` (successful visits
-        to science targets), ``collision_rate`` (``n_colliding`` divided by ``n_counted``), ``fiber_use``
-        (``n_assigned`` divided by the number of usable positioners), ``completeness`` (visits that all tiles together
-        made to the targets of this field, divided by the requested visits of these targets; NaN if no visits were
-        requested). The ``meta`` of the table contains ``summary`` and ``provenance``.
+        that need a path planner), ``n_lost_to_rules`` (science targets that rules on the distribution of fibers cost,
+        not for joint plans), ``n_unmet`` (requirements that are not met; all required targets of a tile count as one
+        requirement, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
+        requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
+        those for which this tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate``
+        (``n_colliding`` divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable
+        positioners), ``completeness`` (visits that all tiles together made to the targets of this field, divided by the
+        requested visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains
+        ``summary`` and ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``

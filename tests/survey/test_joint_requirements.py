@@ -154,6 +154,7 @@ def test_required_targets_come_first(seed):
     assert all(level["bound"] >= n for level, n in zip(levels, program.sums(), strict=True))
 
 
+@pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
 @pytest.mark.parametrize("seed", range(24))
 def test_rules_on_the_distribution_remain_fulfilled(seed):
     instrument, tiles, catalog, options, _ = survey_with_kinds(seed)
