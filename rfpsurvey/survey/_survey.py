@@ -44,14 +44,14 @@ class Survey:
         ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,
         see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms unfold, and positioners
         that need a path planner), ``n_lost_to_rules`` (science targets that rules on the distribution of fibers cost,
-        not for joint plans), ``n_unmet`` (requirements that are not met; all required targets of a tile count as one
-        requirement, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
-        requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
-        those for which this tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate``
-        (``n_colliding`` divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable
-        positioners), ``completeness`` (visits that all tiles together made to the targets of this field, divided by the
-        requested visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains
-        ``summary`` and ``provenance``.
+        not for joint plans), ``n_unmet`` (requirements that are not met; all required targets of a tile count as one,
+        and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the requirements that
+        are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules: those for which this
+        tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding``
+        divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners),
+        ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
+        visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and
+        ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
