@@ -50,8 +50,7 @@ class Survey:
         tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding``
         divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners),
         ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
-        visits of these targets; NaN if no visits were requested). The ``meta`` of the table contains ``summary`` and
-        ``provenance``.
+        visits of these targets; NaN if no visits were requested). Its ``meta`` has ``summary`` and ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
