@@ -1,10 +1,16 @@
 """Targets by class, and processor times, of plans of ``repair`` with both kinds of moves, and of ``optimal``.
 
-Usage: python tests/benchmarks/move_figures.py [--limit SECONDS] [--repeats N]
+Usage: python tests/benchmarks/move_figures.py [--limit SECONDS] [--repeats N] [--wide]
+
+With ``--wide``, 96 scenes of six presets are planned once with ``repair`` and ``optimal``; half of them have sky
+positions, standards and requirements, and a quarter of these also safe motion. The script states in how many scenes
+``repair`` observes at most 1 % fewer targets than the optimum, both in total and (apart from one target) in the best
+class. If an optimum is not proven within the time limit, the bound takes its place in the best class.
 """
 
 import argparse
 import time
+from itertools import product
 
 import astropy.units as u
 import numpy as np
@@ -34,11 +40,55 @@ def targets(plane, density, n_classes, seed):
     return xy * u.mm, n_classes - rng.choice(n_classes, n, p=share)
 
 
+def wide(limit):
+    """Compare ``repair`` with ``optimal`` in scenes of all densities, without and with requirements."""
+    n_scenes = n_good = n_open = n_good_open = 0
+    for name in (*PRESETS, "must"):
+        plane = rs.Instrument.preset(name).focal_plane
+        for density, has_rules in product((0.2, 0.5, 1, 2, 4, 6, 9, 12), (False, True)):
+            n_scenes += 1
+            xy, priority = targets(plane, density, 3, 500 + n_scenes)
+            columns, options = {}, {}
+            if has_rules:
+                rng, most = np.random.default_rng(n_scenes), len(plane)
+                columns["kind"] = rng.choice(["science", "standard", "sky"], len(priority), p=[0.75, 0.1, 0.15])
+                n_sky, n_standard = (max(int(most * min(f, g * density)), 1) for f, g in ((0.04, 0.1), (0.02, 0.05)))
+                options["requirements"] = [f"sky={n_sky}", f"standard={n_standard}"]
+                options["constraints"] = ["motion fold same_speed"] if n_scenes % 8 == 0 else None
+            plans = [
+                rs.allocate(plane, xy, allocator=one, priority=priority, **columns)
+                for one in (
+                    rs.AllocationOptions("repair", **options),
+                    rs.AllocationOptions("optimal", time_limit=limit * u.s, **options),
+                )
+            ]
+            values = [[level.value for level in plan.levels] for plan in plans]
+            bounds, first = [level.bound for level in plans[1].levels], len(options) > 0
+            is_open = plans[1].gap != 0
+            ours, best = (sum(some[first : first + 3]) for some in values)
+            top = (bounds if is_open else values[1])[first]
+            is_good = (
+                ours >= 0.99 * best and values[0][first] >= 0.99 * top - 1 and values[0][0] >= values[1][0] * first
+            )
+            n_good, n_open, n_good_open = n_good + is_good, n_open + is_open, n_good_open + (is_open and is_good)
+            if not is_good or is_open:
+                words = f"{'best class at most' if is_open else 'optimum,'} {top:.0f}"
+                print(
+                    f"{name} {density} {options}: {values[0]}, optimal {values[1]}, {words}, within: {is_good}",
+                    flush=True,
+                )
+    print(f"within 1 %: {n_good} of {n_scenes} scenes, {n_good_open} of the {n_open} whose optimum is not proven")
+
+
 def main():
     parser = argparse.ArgumentParser()
     parser.add_argument("--limit", type=float, default=10.0, help="time limit of optimal in seconds")
     parser.add_argument("--repeats", type=int, default=5)
+    parser.add_argument("--wide", action="store_true", help="96 scenes of all densities, with and without rules")
     asked = parser.parse_args()
+    if asked.wide:
+        wide(asked.limit)
+        return
     scenes = [
         (f"{name} {density}", rs.Instrument.preset(name).focal_plane, density, 3)
         for name in PRESETS

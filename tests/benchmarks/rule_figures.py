@@ -52,7 +52,7 @@ def kind_of(text):
 
 
 def row(model, catalog, rules, name, seconds):
-    """Return a text with the number of science targets, the time, and the rules that are not met."""
+    """Return a text with the numbers of science targets, of those of the first class, of failed rules, and the time."""
     separation = 10 * u.arcsec if rules else None
     options = rs.AllocationOptions(name, constraints=rules, sky_separation=separation, time_limit=seconds * u.s)
     begin = perf_counter()
@@ -60,7 +60,8 @@ def row(model, catalog, rules, name, seconds):
     time, n = perf_counter() - begin, np.count_nonzero(tile.table["kind"] == "science")
     failed = sum(one["verdict"] == "fail" for one in tile.rules) if rules else 0
     gap = tile.summary["gap"]
-    return f"{n:>9}{failed:>8}{time:>9.2f}" + (f"{gap:>9.3f}" if gap is not None else f"{'':>9}")
+    first = dict(one[:2] for one in tile.summary["objectives"])["priority 3"]
+    return f"{n:>9}{first:>8.0f}{failed:>8}{time:>9.2f}" + (f"{gap:>9.3f}" if gap is not None else f"{'':>9}")
 
 
 def main():
@@ -69,8 +70,8 @@ def main():
     parser.add_argument("--field", choices=FIELDS)
     asked = parser.parse_args()
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
-    columns = f"{'science':>9}{'failed':>8}{'s':>9}{'gap':>9}"
-    print(f"{'':<38}{'repair':^35}{'optimal':^35}\n{'field':<22}{'rules':<16}{columns}{columns}")
+    columns = f"{'science':>9}{'first':>8}{'failed':>8}{'s':>9}{'gap':>9}"
+    print(f"{'':<38}{'repair':^43}{'optimal':^43}\n{'field':<22}{'rules':<16}{columns}{columns}")
     for field in [asked.field] if asked.field else FIELDS:
         name, _, mode = field.partition(":")
         model = rs.Instrument.preset(name)
