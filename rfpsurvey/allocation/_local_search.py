@@ -213,7 +213,7 @@ def improve(
     stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
     if goals.worth.any() or not stages:
         stages.append((goals, *(LONG_ARMS_LAST if stages else SHORT_ARMS)))
-    if not steady:
+    if not (steady or goals.worth.any()):  # with subpriorities, hardly any plans are equally good
         n_last = NEAR_LONG if is_small or is_long else NEAR_SHORT
         stages.append((goals, n_last, n_last, 1.0))
     for some, n_rounds, patience, equal in stages:

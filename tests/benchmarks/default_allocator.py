@@ -85,13 +85,14 @@ def main():
     parser.add_argument("--seconds", type=float, default=10.0, help="time limit of a search")
     parser.add_argument("--tiles", type=int, default=0)
     parser.add_argument("--realizations", type=int, default=0)
-    parser.add_argument("--allocator", action="append", help="by default, all allocators of the comparison")
+    parser.add_argument("--allocator", action="append", help="such as repair or repair:exchange; by default, three")
     given = parser.parse_args()
     options = []
-    for name in given.allocator or ALLOCATORS:
+    for text in given.allocator or ALLOCATORS:
+        name, _, moves = text.partition(":")
         searches = rs.allocation.METHODS[name].searches
-        limit = {"time_limit": given.seconds * u.s} if searches else {}
-        options.append(rs.AllocationOptions(name, **limit))
+        own = {"time_limit": given.seconds * u.s} if searches else {"moves": moves} if moves else {}
+        options.append(rs.AllocationOptions(name, **own))
     if given.tiles:
         survey(given.tiles, given.realizations, options)
     else:
