@@ -119,19 +119,7 @@ _IMPORTED_ON_USE = {
     "tile": ("Tile", "plan_tile", "score_tile"),
     "tiling": ("Tiling", "place_tiles"),
 }
-# Names that 0.2 also had at the top level.
-_MOVED = {
-    "allocation": ("Allocation",),
-    "catalog": ("PartitionedCatalog", "partition_catalog"),
-    "collision": ("CollisionCounts", "CollisionReport", "count_collisions"),
-    "constraints": ("Constraint",),
-    "instrument": ("ProjectionComparison", "compare_projections"),
-    "positioner": ("ArmOutline", "divide_polygon"),
-    "probability": ("Estimate",),
-    "projection": ("DistortionMap", "RadialMap", "TangentPlane"),
-    "selection": ("PotentialAssignments", "potential_assignments"),
-}
-__getattr__ = importer(__name__, _IMPORTED_ON_USE, _MOVED)
+__getattr__ = importer(__name__, _IMPORTED_ON_USE)
 
 
 def __dir__():

@@ -5,15 +5,11 @@ from collections.abc import Callable, Iterable, Mapping
 from importlib import import_module
 
 
-def importer(
-    package: str, modules: Mapping[str, Iterable[str]], moved: Mapping[str, Iterable[str]] | None = None
-) -> Callable[[str], object]:
+def importer(package: str, modules: Mapping[str, Iterable[str]]) -> Callable[[str], object]:
     """Return the function ``__getattr__`` of a package, which imports modules on first use.
 
     ``modules`` maps each module of the package to the names that the package exports from this module.
-    ``moved`` maps modules to names that the package formerly exported; their use causes a warning.
     """
-    former = {name: module for module, names in (moved or {}).items() for name in names}
     sources = {name: module for module, names in modules.items() for name in names}
 
     def find(name: str) -> object:
@@ -21,11 +17,6 @@ def importer(
             value = getattr(import_module(f"{package}.{sources[name]}"), name)
             setattr(sys.modules[package], name, value)  # later accesses do not call this function
             return value
-        if name in former:
-            import_module(f"{package}.errors").warn_of_former_name(
-                f"{package}.{name}", f"{package}.{former[name]}.{name}"
-            )
-            return getattr(import_module(f"{package}.{former[name]}"), name)
         if name in modules:
             return import_module(f"{package}.{name}")
         raise AttributeError(f"module {package!r} has no attribute {name!r}")

@@ -31,13 +31,11 @@ __all__ = [
     "listed",
     "number_of",
     "one_line",
-    "present_name",
     "refusal",
     "short",
     "used_elsewhere",
     "warn",
     "warn_no_effect",
-    "warn_of_former_name",
     "warn_of_unused",
 ]
 
@@ -55,6 +53,10 @@ MOST_WHOLE = 2**53
 # Renamed parameters of earlier versions. Each entry contains the old name, the name of a present parameter, and the
 # text that the error message suggests if the function has the present parameter.
 RENAMED = (
+    ("tiling", "tiles", "tiles=..."),
+    ("points", "catalog", "catalog=..."),
+    ("field", "catalog", "catalog=..."),
+    ("focal_plane", "instrument", "instrument=..."),
     ("method", "allocator", "allocator=..."),
     ("l1", "central_arm", "central_arm=..."),
     ("seed", "rng", "rng=..."),
@@ -84,12 +86,6 @@ RENAMED = (
         for parameter in ("allocator", "options")
     ),
 )
-
-
-# Former names of parameters, which functions still accept with a warning if they have a parameter with the new name.
-FORMER_NAMES = {"tiling": "tiles", "points": "catalog", "field": "catalog", "focal_plane": "instrument"}
-# Former names of methods, which are still accepted with a warning.
-FORMER_METHODS = {"lamost": "lamost_rule", "sdss": "network_flow"}
 
 
 class InputError(ValueError):
@@ -282,10 +278,7 @@ def short(value: object) -> str:
 
 
 def check_keywords(function: T) -> T:
-    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter.
-
-    The former name of a parameter is still accepted, with a warning.
-    """
+    """Decorate a function or class such that the error for an unknown parameter suggests a similar parameter."""
     if inspect.isclass(function):
         function.__init__ = _checked(function.__init__, function.__qualname__)
         return function
@@ -298,31 +291,10 @@ def _checked(function, title):
     @wraps(function)
     def checked(*args, **kwargs):
         for name in kwargs.keys() - parameters.keys():
-            new = FORMER_NAMES.get(name)
-            if new not in parameters or new in kwargs or new in [*parameters][: len(args)]:
-                raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
-            warn_of_former_name(f"the parameter {name} of {title}", new)
-            kwargs[new] = kwargs.pop(name)
+            raise InputTypeError(f"{title} has no parameter {name!r}; {_instead_of(name, [*parameters])}")
         return function(*args, **kwargs)
 
     return checked
-
-
-def warn_of_former_name(what: str, new: str) -> None:
-    """Issue a warning that something has a new name, and that its former name will be removed."""
-    warn(f"{what} is now called {new}; the former name will be removed in version 0.4")
-
-
-def present_name(name: object, methods: Collection[str], what: str) -> object:
-    """Return the present name of one of ``methods``, with a warning if ``name`` is its former name.
-
-    Anything else is returned as it is; ``what`` is a noun for the method, such as "allocator".
-    """
-    new = FORMER_METHODS.get(name) if isinstance(name, str) else None
-    if new not in methods:
-        return name
-    warn_of_former_name(f"the {what} {name}", new)
-    return new
 
 
 def _instead_of(name, parameters):

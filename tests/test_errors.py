@@ -66,21 +66,12 @@ def test_unknown_keywords_name_the_parameter_that_was_meant(call, message):
     assert isinstance(told.value, rs.InputError)
 
 
-def test_former_names_of_parameters_are_accepted_with_a_warning():
+def test_former_names_of_parameters_are_named_in_the_message():
     stars = SkyCoord([95, 95.1] * u.deg, [23, 23] * u.deg)
-    with pytest.warns(rs.RfpsurveyWarning, match="parameter tiling of plan_survey is now called tiles;") as caught:
-        survey = rs.plan_survey(stars, "moons", tiling=stars[:1])
-    assert caught[0].filename == __file__
-    with pytest.warns(rs.RfpsurveyWarning, match="Survey.visits is now called Survey.tile"):
-        assert len(survey.visits(0)) == len(survey.tile(0))
-    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
-        rs.plan_survey(stars, "moons", tiles=stars, tiling=stars)
-    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'"):
-        rs.plan_survey(stars, "moons", stars, tiling=stars)
+    with pytest.raises(rs.InputTypeError, match="plan_survey has no parameter 'tiling'; write tiles="):
+        rs.plan_survey(stars, "moons", tiling=stars[:1])
     with pytest.raises(rs.InputTypeError, match="plan_tile has no parameter 'tiling'"):
         rs.plan_tile(stars, "moons", tiling=stars)
-    with pytest.warns(rs.RfpsurveyWarning, match="rfpsurvey.RadialMap is now called rfpsurvey.projection.RadialMap"):
-        assert rs.RadialMap is rs.projection.RadialMap
 
 
 def test_functions_that_check_keywords_keep_their_signature():

@@ -57,7 +57,7 @@ def check_names(keys) -> None:
         if keys.instrument.arm_model is not None:
             model.with_arm_model(keys.instrument.arm_model)
     if hasattr(keys, "joint"):
-        allocator_of(keys.options, keys.joint, keys.order)
+        allocator_of(keys.options, keys.joint)
         VisitRule(**{name: value for name, value in keys.rule.items() if name != "table"})
     else:
         rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
@@ -65,11 +65,10 @@ def check_names(keys) -> None:
         rs.AllocationOptions(name)
 
 
-def allocator_of(options: dict, joint: dict, order: str) -> "rs.AllocationOptions | rs.JointOptions":
+def allocator_of(options: dict, joint: dict) -> "rs.AllocationOptions | rs.JointOptions":
     """Return the parameter ``allocator`` of `plan_survey` for the keys of the allocator and of a joint plan."""
-    if JOINT in (options.get("allocator"), order):  # in version 0.2, a joint plan was an order
-        name = options.get("allocator", rs.AllocationOptions.allocator)
-        first = rs.AllocationOptions(**{**options, "allocator": rs.JointOptions.allocator if name == JOINT else name})
+    if options.get("allocator") == JOINT:
+        first = rs.AllocationOptions(**{**options, "allocator": rs.JointOptions.allocator})
         return rs.JointOptions(**joint, allocator=first)
     for name in joint:
         warn_no_effect(f"joint.{name}", "without --allocator joint")

@@ -12,7 +12,6 @@ from typer.core import TyperCommand
 from rfpsurvey import __version__
 from rfpsurvey._cli import _app, _main, _plan_file
 from rfpsurvey._cli._keys import Key, add, build, keys_of
-from rfpsurvey._cli._old import rewritten
 from rfpsurvey._io import write_bytes
 from rfpsurvey._outputs import check_output
 from rfpsurvey.errors import InputError
@@ -58,13 +57,17 @@ class Given:
 
 
 class Command(TyperCommand):
-    """A command that also accepts the options of version 0.2, with a warning."""
+    """A command; its message for an unknown option states how ``--set`` sets a key of this name."""
 
     def parse_args(self, ctx, args: list[str]) -> list[str]:
-        """Replace old options, and parse the words of the command line."""
-        keys, options = self.callback.keys_and_options
-        n_values = {name: 0 if one.is_flag else one.nargs for one in self.params for name in one.opts if name[0] == "-"}
-        return super().parse_args(ctx, rewritten(args, keys, options, n_values))
+        """Parse the words of the command line."""
+        try:
+            return super().parse_args(ctx, args)
+        except Exception as error:
+            name = str(getattr(error, "option_name", "")).lstrip("-").replace("-", "_")
+            if found := [key for key in self.callback.keys if key.rpartition(".")[2] == name]:
+                error.possibilities = [f"--set {found[0]}=VALUE"]
+            raise
 
 
 def command(
@@ -104,7 +107,7 @@ def command(
         parameters += _further(Given(title, keys, {}), with_file=with_file)
         call.__signature__ = Signature(parameters)
         call.__annotations__ = {one.name: one.annotation for one in parameters}
-        call.__name__, call.__doc__, call.keys_and_options = function.__name__, function.__doc__, (keys, spelled)
+        call.__name__, call.__doc__, call.keys = function.__name__, function.__doc__, keys
         (app or _main.app).command(title, cls=Command, epilog=epilog)(call)
         return function
 

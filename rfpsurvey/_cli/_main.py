@@ -58,11 +58,6 @@ class Commands(TyperGroup):
 
     def get_command(self, ctx, name: str):
         """Import a command and return it; return None if there is no command of this name."""
-        if name == "reproduce":
-            raise rs.InputError(
-                "the experiments of Chen et al. (2024) are no longer part of the package; in a copy of the repository, "
-                "python docs/reproduction runs them with the same options"
-            )
         if name not in COMMANDS:
             return None
         # Imported objects exist until the program ends. Excluding them from garbage collection saves time. Compiling

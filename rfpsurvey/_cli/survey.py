@@ -73,7 +73,7 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, keys.conditions))
     targets = _surveys.targets_of(keys, model)
     options = {
-        "allocator": _app.allocator_of(keys.options, keys.joint, keys.order),
+        "allocator": _app.allocator_of(keys.options, keys.joint),
         "visits": _surveys.visits_of(keys, targets),
         "passes": keys.tiles.passes,
         "epoch": keys.epoch,

@@ -38,7 +38,6 @@ from rfpsurvey.errors import (
     check_choice,
     check_keywords,
     check_switch,
-    present_name,
     refusal,
     short,
     warn_no_effect,
@@ -169,8 +168,6 @@ class AllocationOptions:
     moves: str = "ejection"
 
     def __post_init__(self):
-        for name in ("allocator", "start"):
-            object.__setattr__(self, name, present_name(getattr(self, name), METHODS, "allocator"))
         find_allocator(self.allocator)
         if not is_plan(self.start):
             if not isinstance(self.start, str):

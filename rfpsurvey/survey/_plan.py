@@ -221,7 +221,7 @@ def prepare_request(
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested
-    asked, joint, order = as_joint(allocator, order)
+    asked, joint = as_joint(allocator, order)
     if cadences is not None and (required := mark_required(asked.required_ids, [catalog.id])) is not None:
         visits = np.where(required, cadences[0].visits(replace(catalog, visits=None)), visits)
     asked.check_for_fields("a survey")

@@ -12,7 +12,7 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
-from rfpsurvey.errors import InputError, number_of, warn_of_former_name
+from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
 from rfpsurvey.survey._result import OUTCOME, TILES
@@ -165,27 +165,6 @@ class Survey:
         if len(rows) == 0:
             raise InputError(f"the survey has no tile {tile}; its tiles have names such as {self.tiles['tile'][0]}")
         return self._visits(int(rows[0]))
-
-    def visits(self, tile: int | str) -> QTable:
-        """Return the visits of one tile; this is the former name of `tile`.
-
-        Parameters
-        ----------
-        tile : int or str
-            Identifier of the tile.
-
-        Returns
-        -------
-        QTable
-            The visits.
-
-        Raises
-        ------
-        InputError
-            As in `tile`.
-        """
-        warn_of_former_name("Survey.visits", "Survey.tile")
-        return self.tile(tile)
 
     def __iter__(self) -> Iterator[QTable]:
         return (self._visits(k) for k in range(len(self.tiles)))

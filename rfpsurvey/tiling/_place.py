@@ -21,7 +21,6 @@ from rfpsurvey.errors import (
     check_keywords,
     check_switch,
     check_whole,
-    present_name,
     refusal,
     short,
     warn,
@@ -156,7 +155,6 @@ def place_tiles(
     >>> len(tiling), tiling.summary["covering_fraction"]
     (19, 1.0)
     """
-    method = present_name(method, METHODS, "method")
     chosen = METHODS[check_choice(method, METHODS, "method to place tiles")]
     model = None if instrument is None else as_instrument(instrument)
     fibers = fibers if isinstance(fibers, Fibers) else Fibers(fibers)

@@ -96,17 +96,6 @@ def test_an_option_that_the_start_of_repair_uses_causes_no_warning(sky):
     rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions("repair", start="balanced"), rng=4)
 
 
-@pytest.mark.filterwarnings("error")
-def test_former_names_of_allocators_and_tiling_methods_are_accepted_with_a_warning(sky):
-    with pytest.warns(rs.RfpsurveyWarning, match="the allocator sdss is now called network_flow"):
-        assert rs.AllocationOptions("sdss") == rs.AllocationOptions("network_flow")
-    with pytest.warns(rs.RfpsurveyWarning, match="the allocator lamost is now called lamost_rule"):
-        assert rs.AllocationOptions("repair", start="lamost") == rs.AllocationOptions("repair")
-    with pytest.warns(rs.RfpsurveyWarning, match="the method sdss is now called network_flow"):
-        tiles = rs.place_tiles(sky, "moons", method="sdss", n_tiles=1)
-    assert tiles.summary == rs.place_tiles(sky, "moons", method="network_flow", n_tiles=1).summary
-
-
 def test_a_function_may_use_every_option(sky):
     asked = rs.AllocationOptions(METHODS["lamost_rule"].function, objective="count", time_limit=5 * u.s)
     rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=4)

@@ -399,9 +399,12 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
     assert "unknown method of collision probability 'guess'" in sentence(code, err)
 
 
-def test_the_command_reproduce_states_where_its_experiments_are(run):
-    code, _, err = run("reproduce", "small", "--quick")
-    assert "python docs/reproduction runs them" in sentence(code, err)
+def test_the_message_for_an_unknown_option_names_a_key(run):
+    for option, key in (("--frame", "catalog.frame"), ("--time-limit", "options.time_limit")):
+        code, _, err = run("plan", option, "5")
+        assert code == 2
+        assert f"No such option: {option}" in err
+        assert f"--set {key}=VALUE" in err
 
 
 @pytest.mark.exhaustive

@@ -58,8 +58,6 @@ def test_every_option_reaches_the_library(run, words, monkeypatch):
     _, _, err = run(*words, *options)
     for name in ("gap", "iterations", "time_limit", "fixed"):
         assert f"warning: joint.{name} has no effect without --allocator joint" in err
-    run(*words, "--allocator", "optimal", "--order", "joint", *options)  # the form of version 0.2
-    assert (seen["allocator"].gap, seen["order"]) == (0.1, "joint")
     _, _, err = run(*words, "--allocator", "optimal", "--set", "joint.time_limit=3", "--set", "options.time_limit=5")
     assert "options.time_limit has no effect" not in err
     assert "joint.time_limit has no effect" in err

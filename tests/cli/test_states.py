@@ -222,7 +222,7 @@ def test_a_toml_file_with_states_is_an_instrument(run, broken, tmp_path):
         "--set",
         "instrument.state_time=2026-02-01",
         "--allocator",
-        "lamost",
+        "lamost_rule",
         "--n-realizations",
         "1",
     )
@@ -259,7 +259,7 @@ def test_instruments_are_compared_with_another_arm_model(run, tmp_path):
         "--set",
         "instrument.arm_model=fiber_tip",
         "--allocator",
-        "lamost",
+        "lamost_rule",
         "--n-realizations",
         "1",
     ]

@@ -74,7 +74,7 @@ def test_what_is_printed_is_what_the_library_says(call, files, tmp_path):
         (["--set", "options.parked_obstacles=false"], "allocator", rs.AllocationOptions(parked_obstacles=False)),
         (["--set", "options.subpriority=3"], "allocator", rs.AllocationOptions(subpriority=3)),
         (["--set", "options.subpriority=SUB"], "allocator", rs.AllocationOptions(subpriority="SUB")),
-        (["--order", "given"], "order", "given"),
+        (["--set", "order=given"], "order", "given"),
         (["--visits", 3], "visits", 3),
         (["--passes", 2, "--passes", 1], "passes", [2, 1]),
         (["--epoch", "2026.5"], "epoch", 2026.5),
@@ -223,7 +223,7 @@ def test_a_folder_of_partitions(call, files, tmp_path):
     ("words", "sentence"),
     [
         (["--allocator", "best"], "unknown allocator 'best'"),
-        (["--order", "random"], "unknown order 'random'"),
+        (["--set", "order=random"], "unknown order 'random'"),
         (["--passes", "7"], "--passes must be distinct passes of the tiling (0, 1)"),
         (["--resume"], "the folder of the survey to resume must be given with --folder"),
         (["--folder", "nowhere/plan"], "the folder nowhere does not exist"),

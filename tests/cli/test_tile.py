@@ -58,7 +58,7 @@ def test_the_survey_of_the_tiles_delivers_what_is_printed(run, tile, tycho, tmp_
     inside = tmp_path / "inside.fits"
     stars[region.contains(stars.coord)].write(inside)
     assert values_of(out)["targets with requested visits"] == str(len(rs.Catalog.read(inside)))
-    code, survey, err = run("survey", inside, *options, *near[2:], "--tiles", path, "--order", "given")
+    code, survey, err = run("survey", inside, *options, *near[2:], "--tiles", path, "--set", "order=given")
     assert code == 0, err
     line = next(line for line in survey.splitlines() if line.startswith("completeness"))
     assert line.split()[1] == values_of(out)["completeness"]

@@ -221,15 +221,6 @@ def test_the_order_must_be_known_and_suit_the_plan(case):
         plan(case, order=np.array([1, 2]))
 
 
-def test_a_joint_plan_that_is_requested_as_an_order_is_made_with_a_warning(case, survey):
-    """In version 0.2, a joint plan was an order."""
-    for order in (JOINT, "joint"):
-        with pytest.warns(rs.RfpsurveyWarning, match="order='joint' of plan_survey is now called allocator='joint'"):
-            former = plan(case, allocator="optimal", order=order)
-        expected = survey if order is JOINT else plan(case, allocator="joint")
-        assert rows_of(former) == rows_of(expected)
-
-
 @pytest.mark.parametrize(
     "options",
     [

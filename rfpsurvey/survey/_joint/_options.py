@@ -3,7 +3,7 @@
 import hashlib
 import os
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import astropy.units as u
@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import METHODS, AllocationOptions, as_options
-from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, refusal, short, warn_of_former_name
+from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, refusal, short
 from rfpsurvey.survey._survey import Survey
 
 JOINT = "joint"
@@ -129,24 +129,15 @@ class JointOptions:
         }
 
 
-def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None, object]:
-    """Return the options of the tiles, the options of the joint plan, if one is requested, and the order.
-
-    In version 0.2, a joint plan was requested by ``order``.
-    """
-    if isinstance(order, JointOptions) or (isinstance(order, str) and order == JOINT):
-        warn_of_former_name("order='joint' of plan_survey", "allocator='joint'")
-        if not isinstance(allocator, JointOptions):
-            joint = order if isinstance(order, JointOptions) else JointOptions()
-            allocator = replace(joint, allocator=allocator)
-        order = "color"
+def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None]:
+    """Return the options of the tiles, and the options of the joint plan, if one is requested."""
     if isinstance(allocator, str) and allocator == JOINT:
         allocator = JointOptions()
     if not isinstance(allocator, JointOptions):
-        return as_options(allocator), None, order
+        return as_options(allocator), None
     if not (isinstance(order, str) and order == "color"):
         raise InputError(f"the order must be 'color' for a joint plan, got {short(order)}")
-    return as_options(allocator.allocator), allocator, order
+    return as_options(allocator.allocator), allocator
 
 
 def _check_first(options: AllocationOptions) -> None:
