@@ -33,7 +33,7 @@ MOST_OUT_OF_REACH = 0.2
 
 @check_keywords
 def score_tile(
-    table: Table,
+    table: Table | Tile,
     instrument: Instrument | str,
     *,
     center: SkyCoord | str | None = None,
@@ -56,11 +56,11 @@ def score_tile(
 
     Parameters
     ----------
-    table : Table, QTable or DataFrame
-        Table with a row for each assigned fiber. The columns contain the identifier of the positioner (``positioner``,
-        ``hole_id``, ``robot_id``, ...), and the position of its target on the focal plane (``x`` and ``y``, ``x_wok``,
-        ``tip_x``, ...) or on the sky. Rows without a positioner, and rows with 0 in the column ``assigned``, are
-        ignored. The column names of plans that `~rfpsurvey.plans.read_plan` returned are recognized.
+    table : Table, QTable, DataFrame or Tile
+        A tile, or a table with a row for each assigned fiber. The columns contain the identifier of the positioner
+        (``positioner``, ``hole_id``, ``robot_id``, ...), and the position of its target on the focal plane (``x`` and
+        ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a positioner, and rows with 0 in the column
+        ``assigned``, are ignored. The column names of plans that `~rfpsurvey.plans.read_plan` returned are recognized.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     center : SkyCoord or str, optional
@@ -79,7 +79,7 @@ def score_tile(
         of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
-        plane are used if the table contains them.
+        plane are used if the table contains them, except for a tile with ``constraints``.
     conditions : ObservingConditions, optional
         Observing conditions, from which the refraction of positions on the sky is computed. By default, the conditions
         and the model of the projection that a tile or a plan of this package records are used; without recorded
@@ -130,7 +130,8 @@ def score_tile(
     check_conditions(conditions, optional=True)
     check_choice(missing, ("refuse", "skip"), "treatment of rows without a position")
     instrument = as_instrument(instrument)
-    table, is_plain = as_table(table, index_as_id=False)
+    knows_field = isinstance(table, Tile)
+    table, is_plain = as_table(table.table if knows_field else table, index_as_id=False)
     parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
     columns, units = ({} if one is None else one for one in (columns, units))
     if is_plain and isinstance(units, dict):
@@ -152,14 +153,14 @@ def score_tile(
     find = Finder(part, columns, units)
     xy_names = [find.name_of(role) for role in ("x", "y")]
     if positions is None:
-        positions = "focal_plane" if None not in xy_names else "sky"
+        positions = "sky" if None in xy_names or (knows_field and constraints is not None) else "focal_plane"
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
     fibers, others = _fibers(find, plane, who), _without(find, name)
     ids = np.arange(len(part)) if (ids := others.labels("id")) is None else ids
     parameters = {
         "allocator": "scored",
         "positions": positions,
-        "parked_obstacles": check_switch(parked_obstacles, "parked_obstacles"),
+        "parked_obstacles": parked_obstacles,
     }
     given = {
         "center": center,

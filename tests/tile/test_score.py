@@ -43,6 +43,17 @@ def test_a_plan_of_ours_scores_as_it_was_planned(presets, tiles, name, positions
     assert score.summary["n_out_of_reach"] == 0
 
 
+@pytest.mark.parametrize("name", ["lamost", "sdss_apo"])
+def test_a_tile_knows_its_field(presets, tiles, name):
+    tile, circle = tiles[name], "keep_out 95.2 23.1 0.05"
+    score = rs.score_tile(tile, presets[name])
+    assert (score.table["in_collision"] == tile.table["in_collision"]).all()
+    assert score.summary["n_assigned"] == tile.summary["n_assigned"]
+    options = {"center": CENTER, "position_angle": 20 * u.deg, "positions": "sky"}
+    expected = rs.score_tile(tile.table, presets[name], constraints=circle, **options)
+    assert rs.score_tile(tile, presets[name], constraints=circle).summary["unmet"] == expected.summary["unmet"]
+
+
 def test_hole_names_and_field_columns(presets, tiles):
     """The table has the format of SDSS-V designs."""
     t = tiles["sdss_apo"].table
