@@ -34,7 +34,7 @@ SMALL = {
     "survey_figures": ["--targets", "20000", "--tiles", "4"],
 }
 """Arguments that make a script short."""
-SECONDS = 10
+SECONDS = 5
 """A script that runs for this time has started, and is ended."""
 
 

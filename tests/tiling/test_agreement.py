@@ -32,7 +32,7 @@ def delivered(catalog, model, tiling, **options):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("name", INSTRUMENTS)
 def test_a_survey_delivers_what_the_tiling_says(name):
-    catalog, model = clustered(name, priority=lambda n: np.arange(n) % 3)
+    catalog, model = clustered(name, 0.5, priority=lambda n: np.arange(n) % 3)
     tiling = rs.place_tiles(catalog, model, passes=2)
     assert tiling.summary["completeness"] < 1
     assert delivered(catalog, model, tiling) == pytest.approx(tiling.summary["completeness"], abs=1e-12)
