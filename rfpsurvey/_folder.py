@@ -15,7 +15,7 @@ from pathlib import Path
 from filelock import FileLock, Timeout
 
 from rfpsurvey._checkpoint import check_request, warn_of_software
-from rfpsurvey._io import TEMPORARY_PREFIX, output_path, suffix_of, to_path, write_bytes, written
+from rfpsurvey._io import TEMPORARY_PREFIX, suffix_of, to_path, write_bytes, writing_to, written
 from rfpsurvey._outputs import check_parent
 from rfpsurvey._readers import content_of, is_present, open_file, parse_json
 from rfpsurvey._temporary import temporary
@@ -164,7 +164,7 @@ class RequestFolder:
     def writing(self, name: str):
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
         path = self.path / name
-        with ExitStack() as stack, output_path(path, (suffix_of(path),), overwrite=True) as own:
+        with ExitStack() as stack, writing_to(path, (suffix_of(path),), overwrite=True) as own:
             try:
                 yield own
             except InputError as error:

@@ -34,7 +34,6 @@ __all__ = [
     "check_fits_text",
     "check_output",
     "fits_bytes",
-    "output_path",
     "read_fits_bytes",
     "read_table",
     "suffix_of",
@@ -44,6 +43,7 @@ __all__ = [
     "write_bytes",
     "write_fits_rows",
     "write_table",
+    "writing_to",
     "written",
 ]
 
@@ -72,7 +72,7 @@ def write_table(
     path = to_path(path)
     for one in (table, *(others or {}).values()):
         check_texts(one, path)
-    with output_path(path, WRITABLE, overwrite=overwrite) as own:
+    with writing_to(path, WRITABLE, overwrite=overwrite) as own:
         if suffix_of(path) == ".fits":
             with _writing(f"{path}: the table", "FITS", "; write .ecsv instead"):
                 _to_hdus(table, cards, name, others or {}).writeto(own)
@@ -162,7 +162,7 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
 
 
 @contextmanager
-def output_path(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
+def writing_to(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
     """Provide a temporary path beside ``path`` that is renamed to ``path`` on success."""
     path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
     with _in_place_of(path, overwrite=overwrite) as own:
@@ -273,7 +273,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
     Only one part of a table is in memory at a time.
     """
     counts = []
-    with output_path(path, (".fits",), overwrite=overwrite) as own, own.open("wb") as file:
+    with writing_to(path, (".fits",), overwrite=overwrite) as own, own.open("wb") as file:
         for dtype, cards, parts in tables:
             fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
             disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0

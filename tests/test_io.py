@@ -65,7 +65,7 @@ def test_a_file_that_appears_meanwhile_is_not_overwritten(tmp_path):
     path = tmp_path / "page.npz"
 
     def write():
-        with _io.output_path(path, (".npz",)) as temporary:
+        with _io.writing_to(path, (".npz",)) as temporary:
             temporary.write_text("new")
             path.write_text("of somebody else")
 
@@ -97,7 +97,7 @@ def test_links_under_names_that_could_be_guessed_are_not_followed(tmp_path):
 def test_temporary_names_are_random_and_closed_to_others(tmp_path):
     names = set()
     for _ in range(20):
-        with _io.output_path(tmp_path / "a.npz", (".npz",), overwrite=True) as temporary:
+        with _io.writing_to(tmp_path / "a.npz", (".npz",), overwrite=True) as temporary:
             assert stat.S_IMODE(temporary.parent.stat().st_mode) == 0o700
             names.add(temporary.parent.name)
             temporary.write_text("x")

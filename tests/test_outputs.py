@@ -53,7 +53,7 @@ def test_bytes_that_cannot_be_stored_are_told(tmp_path):
     """NumPy reports a full disk without a reason."""
 
     def write():
-        with _io.output_path(tmp_path / "a.fits", (".fits",)):
+        with _io.writing_to(tmp_path / "a.fits", (".fits",)):
             raise OSError("65440 requested and 14240 written")
 
     with pytest.raises(rs.InputError, match=r"a\.fits cannot be written: some bytes cannot be stored; the disk may"):

@@ -21,7 +21,7 @@ from reproduction._small import small
 from reproduction._speed import speed
 from rfpsurvey._executors import released
 from rfpsurvey._folder import locked
-from rfpsurvey._io import check_output, output_path, to_path, write_table
+from rfpsurvey._io import check_output, to_path, write_table, writing_to
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
 from rfpsurvey.report._write import MADE_BY
 
@@ -132,7 +132,7 @@ def reproduce(
                 table.meta.update(_provenance(settings))
                 write_table(table, folder / f"{key}.ecsv", overwrite=True)
             for key, figure in draw_reproduction(name, tables).items():
-                with output_path(folder / f"{key}.png", (".png",), overwrite=True) as temporary:
+                with writing_to(folder / f"{key}.png", (".png",), overwrite=True) as temporary:
                     figure.savefig(temporary, dpi=150, format="png")
             _write_claims(folder, claims, settings)
     table = claims_table(claims)
@@ -144,7 +144,7 @@ def _write_claims(folder: Path, claims: list[Claim], settings: Settings) -> None
     table = claims_table(claims)
     table.meta.update(_provenance(settings))
     write_table(table, folder / "claims.ecsv", overwrite=True)
-    with output_path(folder / "claims.rst", (".rst",), overwrite=True) as temporary:
+    with writing_to(folder / "claims.rst", (".rst",), overwrite=True) as temporary:
         temporary.write_text(claims_page(table, _provenance(settings)), encoding="utf-8")
 
 

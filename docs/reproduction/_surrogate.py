@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from rfpsurvey._executors import map_with_progress
-from rfpsurvey._io import output_path
+from rfpsurvey._io import writing_to
 from rfpsurvey._units import to_generator
 from rfpsurvey.probability import AXES, interior_probability
 
@@ -24,5 +24,5 @@ def make_surrogate(
     sources, numbers = to_generator(rng).spawn(len(shapes)), [N_POINTS] * len(shapes)
     found = map_with_progress(executor, progress, "designs", interior_probability, shapes, numbers, sources)
     values = [value for value, _ in found]
-    with output_path(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
+    with writing_to(path, (".npz",), overwrite=overwrite) as temporary, open(temporary, "wb") as file:
         np.savez_compressed(file, risk=np.array(values, dtype=np.float32).reshape(grid.shape[:-1]))

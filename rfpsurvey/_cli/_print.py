@@ -9,7 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._io import output_path, suffix_of, write_table
+from rfpsurvey._io import suffix_of, write_table, writing_to
 from rfpsurvey.errors import brief
 from rfpsurvey.report import (
     estimate_facts,
@@ -67,7 +67,7 @@ def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterat
     writers = [(path, call) for path, call in writers if path is not None]
     with ExitStack() as stack:  # all files are renamed when all of them are complete
         for path, call in writers:
-            own = stack.enter_context(output_path(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
+            own = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
             try:
                 call(path, own)
             except rs.InputError as error:

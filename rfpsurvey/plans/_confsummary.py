@@ -13,7 +13,7 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from rfpsurvey._io import output_path, suffix_of
+from rfpsurvey._io import suffix_of, writing_to
 from rfpsurvey._readers import content_of, head_of, is_number, sentence
 from rfpsurvey._roles import last_role
 from rfpsurvey._units import check_columns
@@ -122,7 +122,7 @@ def read(path: Path) -> QTable:
 
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     """Write a plan as a confSummary file, which is compressed if its name ends in ``.par.gz``."""
-    with output_path(path, (".par",), overwrite=overwrite, gzipped=True) as temporary, _yanny() as module:
+    with writing_to(path, (".par",), overwrite=overwrite, gzipped=True) as temporary, _yanny() as module:
         rows, header = _native_rows(plan, path), _native_header(plan, path)
         plain = temporary.with_name("plain.par")
         enums = {"fiberType": ("FIBERTYPE", FIBERS)}

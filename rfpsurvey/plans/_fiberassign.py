@@ -13,7 +13,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._io import check_fits_text, output_path, suffix_of
+from rfpsurvey._io import check_fits_text, suffix_of, writing_to
 from rfpsurvey._readers import head_of, read_tables, sentence
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
@@ -125,7 +125,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     header = _header(plan)
     columns = _columns(plan, header, path)
     shared = {name: header[name] for name in SHARED if name in header}
-    with output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
+    with writing_to(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary:
         primary = fits.PrimaryHDU()
         _add(primary.header, header, path)
         try:

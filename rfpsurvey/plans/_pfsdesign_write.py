@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._io import output_path
+from rfpsurvey._io import writing_to
 from rfpsurvey._readers import sentence
 from rfpsurvey._units import check_columns, check_unique
 from rfpsurvey.errors import InputError, listed
@@ -86,7 +86,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
     comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
     with (
-        output_path(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary,
+        writing_to(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary,
         warnings.catch_warnings(),
     ):
         warnings.simplefilter("ignore")  # ignore warnings about names of columns and keywords

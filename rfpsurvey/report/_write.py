@@ -8,7 +8,7 @@ from pathlib import Path
 
 from astropy.table import Table
 
-from rfpsurvey._io import check_output, output_path, to_path
+from rfpsurvey._io import check_output, to_path, writing_to
 from rfpsurvey.compare import PARTS
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, refusal
 from rfpsurvey.probability import Estimate
@@ -130,7 +130,7 @@ def write_report(
     if pictures:
         page = replace(page, sections=[Section("Figures", pictures), *page.sections])
     content = html_of(page, max_rows).encode()
-    with output_path(path, ENDINGS, overwrite=overwrite) as temporary:
+    with writing_to(path, ENDINGS, overwrite=overwrite) as temporary:
         temporary.write_bytes(content)
 
 
