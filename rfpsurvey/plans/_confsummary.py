@@ -22,6 +22,7 @@ from rfpsurvey.errors import InputError
 from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
+ENDINGS = (".par",)
 INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 MISSING = -999
 FIBERS = ("BOSS", "APOGEE", "METROLOGY", "NONE")

@@ -21,6 +21,7 @@ from rfpsurvey.instrument import MOST_DEVICE, N_PETALS
 from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
 
+ENDINGS = (".fits",)
 NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
 TYPES = {
     "TARGETID": "i8",

@@ -30,9 +30,10 @@ from rfpsurvey.plans._pfsdesign_write import (
 from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
 from rfpsurvey.plans._values import from_keywords
 
-__all__ = ["lost", "read", "recognizes", "write"]
+__all__ = ["ENDINGS", "lost", "read", "recognizes", "write"]
 
 WHOLE, NUMBERS, TEXT = "iu", "iuf", "U"
+ENDINGS = (".fits",)
 COLUMNS = {
     "fiberId": WHOLE, "ra": NUMBERS, "dec": NUMBERS, "catId": WHOLE, "objId": WHOLE, "targetType": WHOLE,
     "pfiNominal": NUMBERS, "cobraId": WHOLE, "epoch": TEXT + NUMBERS, "pmRa": NUMBERS, "pmDec": NUMBERS,

@@ -1,8 +1,9 @@
 """The table of a plan, and the formats of files in which plans are stored.
 
-Each format has a module with four functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *,
-overwrite)`` writes a plan to a file, ``recognizes(path)`` returns whether a file has the format, and ``lost(plan)``
-describes the data that the format cannot represent.
+Each format is a module, or an object of another package, with ``ENDINGS`` (the endings of its files) and four
+functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *, overwrite)`` writes a plan to a file,
+``recognizes(path)`` returns whether a file has the format, and ``lost(plan)`` describes the data that the format cannot
+represent.
 """
 
 import os
@@ -14,20 +15,19 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._io import read_table, suffix_of, to_path
+from rfpsurvey._plugins import find_plugin, plugin_names
 from rfpsurvey._readers import check_is_file, reading, sentence
 from rfpsurvey._roles import JOINED
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, warn
 from rfpsurvey.plans._values import ENTRIES
 
-FORMATS = {
-    "confsummary": ("rfpsurvey.plans._confsummary", (".par",)),
-    "fiberassign": ("rfpsurvey.plans._fiberassign", (".fits",)),
-    "pfsdesign": ("rfpsurvey.plans._pfsdesign", (".fits",)),
-    # this format is tested last, after the formats of other programs
-    "table": ("rfpsurvey.plans._table", (".ecsv", ".fits")),
-}
-"""Name of each format, with its module and the endings of its files."""
+FORMATS = ("confsummary", "fiberassign", "pfsdesign")
+"""Names of the formats of other programs; the format ``name`` is the module ``_name``."""
+TABLE = "table"
+"""The format of this package, which is tested last."""
+GROUP = "rfpsurvey.plan_formats"
+PARTS = ("ENDINGS", "read", "write", "recognizes", "lost")
 
 COLUMNS = {
     "positioner": None,
@@ -62,7 +62,7 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
     path : str or path-like
         File in one of the formats ``confsummary`` (SDSS-V, ``confSummary-*.par``), ``fiberassign`` (DESI,
         ``fiberassign-*.fits``), ``pfsdesign`` (PFS, ``pfsDesign-0x*.fits``) and ``table`` (a plan that `write_plan`
-        wrote as ECSV or FITS, or a tile of this package).
+        wrote as ECSV or FITS, or a tile of this package), or in a format of an installed package (:doc:`/plugins`).
     format : str, optional
         Name of the format; by default, the format is recognized from the file.
 
@@ -98,9 +98,10 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
         if format is None:
             if suffix_of(path) == ".fits":
                 read_table(path)  # raises an error if the file is damaged
-            raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(FORMATS)}")
+            raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(_names())}")
+    module = _format(format)
     with reading(path, f"a plan in the format {format}"):
-        return _module(format).read(path)
+        return module.read(path)
 
 
 @check_keywords
@@ -146,7 +147,7 @@ def write_plan(
     [0, 1]
     """
     path, plan = to_path(path), as_plan(plan)
-    module = _module(_format_for(plan, path) if format is None else format)
+    module = _format_for(plan, path) if format is None else _format(format)
     try:
         lost = module.lost(plan)
         module.write(plan, path, overwrite=overwrite)
@@ -186,13 +187,13 @@ def recognize_plan(path: str | os.PathLike) -> str | None:
     >>> rs.plans.recognize_plan("stars.csv") is None
     True
     """
-    return native_format(path) or ("table" if _module("table").recognizes(_existing(path)) else None)
+    return native_format(path) or (TABLE if _format(TABLE).recognizes(_existing(path)) else None)
 
 
 def native_format(path: str | os.PathLike) -> str | None:
     """Return the name of the format of a plan file of another program, or None for any other file, such as a table."""
     path = _existing(path)
-    return next((name for name in FORMATS if name != "table" and _module(name).recognizes(path)), None)
+    return next((name for name in _names() if name != TABLE and _format(name).recognizes(path)), None)
 
 
 def plan_roles(table: Table) -> dict[str, str]:
@@ -297,7 +298,7 @@ def as_plan(plan: object) -> QTable:
 def further_columns(table: Table) -> dict[str, np.ndarray]:
     """Return the columns with one value per row and, for a plan of SDSS-V, the magnitudes by the names of the bands."""
     found = {name: to_plain(table[name]) for name in table.colnames if table[name].ndim == 1}
-    return _module("confsummary").magnitudes(table) | found if table.meta.get("format") == "confsummary" else found
+    return _format("confsummary").magnitudes(table) | found if table.meta.get("format") == "confsummary" else found
 
 
 def is_tile(table: Table) -> bool:
@@ -353,15 +354,27 @@ def _existing(path: object) -> Path:
     return path
 
 
-def _module(name: str):
-    return import_module(FORMATS[check_choice(name, FORMATS, "format of plans")][0])
+def _names() -> list[str]:
+    """Return the names of all formats, in the order in which files are tested."""
+    return [*FORMATS, *sorted(plugin_names(GROUP) - {*FORMATS, TABLE}), TABLE]
 
 
-def _format_for(plan: QTable, path: Path) -> str:
-    """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or ``confsummary``."""
-    found = [name for name, (_, endings) in FORMATS.items() if suffix_of(path) in endings]
+def _format(name: str) -> object:
+    """Return the module of a format, or the object of another package."""
+    if isinstance(name, str) and name in (*FORMATS, TABLE):
+        return import_module(f"rfpsurvey.plans._{name}")
+    plugin = find_plugin(GROUP, name, (*FORMATS, TABLE), "format of plans")
+    if lacking := [one for one in PARTS if not hasattr(plugin.value, one)]:
+        raise InputError(f"{plugin} must have {', '.join(PARTS)}, but lacks {', '.join(lacking)}")
+    return plugin.value
+
+
+def _format_for(plan: QTable, path: Path) -> object:
+    """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or the first that fits."""
+    known = {name: _format(name) for name in _names()}
+    found = [name for name, one in known.items() if suffix_of(path) in one.ENDINGS]
     if not found:
-        endings = sorted({ending for _, many in FORMATS.values() for ending in many})
+        endings = sorted({ending for one in known.values() for ending in one.ENDINGS})
         raise InputError(f"{path}: the name of a plan must end in one of {', '.join(endings)} (or with .gz)")
     own = plan.meta.get("format")
-    return own if own in found else "table" if "table" in found else found[0]
+    return known[own if own in found else TABLE if TABLE in found else found[0]]

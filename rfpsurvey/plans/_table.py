@@ -11,6 +11,7 @@ from rfpsurvey._units import to_flags, to_plain, to_unit
 from rfpsurvey.errors import InputError, listed, short
 from rfpsurvey.plans._plan import COLUMNS, FROM_TILE, as_plan, is_plan, is_tile
 
+ENDINGS = (".ecsv", ".fits")
 TILE_COLUMNS = ("id", "target_id", "status", "tip_x", "tip_y")
 """Columns that the table of a tile must have."""
 TEXT, NUMBER = (str,), (int, float)

@@ -1,0 +1,49 @@
+"""Formats of plans of other packages: the example of the page on plugins, and formats that are not complete."""
+
+import re
+from pathlib import Path
+from textwrap import dedent
+
+import astropy.units as u
+import pytest
+
+import rfpsurvey as rs
+
+PAGE = (Path(__file__).parents[2] / "docs" / "plugins.rst").read_text()
+HERE = "\nimport sys\nHERE = sys.modules[__name__]\n"
+
+
+@pytest.fixture
+def laboratory(install):
+    """Install the example of the page."""
+    section = PAGE.partition("Formats of plans\n-----")[2]
+    install("laboratory", dedent(re.search(r"\n\n((?:    .*\n|\n)+)", section)[1]) + HERE, plan_formats={"lab": "HERE"})
+
+
+def test_plans_of_the_example_are_written_read_and_scored(laboratory, presets, tmp_path):
+    path, tile = tmp_path / "plan.lab", rs.plan_tile(rs.example_catalog(), presets["moons"])
+    tile.table["kind"][tile.table["status"] == "assigned"] = "sky"
+    with pytest.warns(rs.RfpsurveyWarning, match="was written without kinds of targets, which this format") as found:
+        rs.plans.write_plan(tile, path)
+    assert len(found) == 1
+    assert rs.plans.recognize_plan(path) == "lab"
+    plan = rs.plans.read_plan(path)
+    assert plan.meta["format"] == "lab"
+    assert plan["assigned"].sum() == tile.summary["n_assigned"]
+    score = rs.score_tile(plan, presets["moons"])
+    assert score.summary["n_assigned"] == tile.summary["n_assigned"]
+    assert abs(score.table["tip_x"] - tile.table["tip_x"])[score.table["status"] == "assigned"].max() < 1e-9 * u.mm
+    rs.plans.write_plan(plan, tmp_path / "plan.ecsv")
+    assert rs.plans.recognize_plan(tmp_path / "plan.ecsv") == "table"
+    with pytest.raises(rs.InputError, match="plan.lab"):
+        rs.plans.write_plan(plan, path)
+
+
+def test_incomplete_and_unknown_formats_are_named(laboratory, install, tmp_path):
+    install("less", "ENDINGS = ('.less',)" + HERE, plan_formats={"less": "HERE"})
+    (tmp_path / "a.lab").write_text("1 2 3 4\n")
+    words = r"the format of plans 'less' of less 1.0 \(less:HERE\) must have .* lacks read, write, recognizes, lost"
+    with pytest.raises(rs.InputError, match=words):
+        rs.plans.read_plan(tmp_path / "a.lab", format="less")
+    with pytest.raises(rs.InputError, match="unknown format of plans 'lib'; choose one of: .*lab.*Did you mean 'lab'"):
+        rs.plans.read_plan(tmp_path / "a.lab", format="lib")
