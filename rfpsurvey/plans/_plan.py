@@ -9,6 +9,7 @@ represent.
 import os
 from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
 
 import astropy.units as u
 import numpy as np
@@ -360,13 +361,22 @@ def _names() -> list[str]:
 
 
 def _format(name: str) -> object:
-    """Return the module of a format, or the object of another package."""
+    """Return the module of a format; the functions of another package raise only errors that name the package."""
     if isinstance(name, str) and name in (*FORMATS, TABLE):
         return import_module(f"rfpsurvey.plans._{name}")
     plugin = find_plugin(GROUP, name, (*FORMATS, TABLE), "format of plans")
     if lacking := [one for one in PARTS if not hasattr(plugin.value, one)]:
         raise InputError(f"{plugin} must have {', '.join(PARTS)}, but lacks {', '.join(lacking)}")
-    return plugin.value
+
+    def guarded(function):
+        def call(*given, **options):
+            with plugin.answering():
+                return function(*given, **options)
+
+        return call
+
+    functions = {one: guarded(getattr(plugin.value, one)) for one in PARTS[1:]}
+    return SimpleNamespace(ENDINGS=plugin.value.ENDINGS, **functions)
 
 
 def _format_for(plan: QTable, path: Path) -> object:
