@@ -235,16 +235,21 @@ def test_a_plan_without_time_is_valid_and_states_its_gap():
     assert max(gaps) > 0
 
 
+def two_sky_positions(rings, n, width):
+    """Return an instrument, and a catalog with two sky positions, which cannot serve 95 % of the field."""
+    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 0.5 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=20 * u.mm)
+    offsets = np.random.default_rng(1).uniform(-width, width, (n, 2)) * u.deg
+    kind = np.where(np.arange(n) < 2, "sky", "science")
+    catalog = rs.Catalog(SkyCoord(30 * u.deg + offsets[:, 0], offsets[:, 1]), kind=kind)
+    return rs.Instrument("small", plane, plate_scale=100 * u.mm / u.deg), catalog
+
+
 @pytest.mark.filterwarnings("default:the rules on the distribution of fibers cost")
 @pytest.mark.parametrize("allocator", ["repair", "optimal"])
 def test_a_plan_states_the_targets_that_rules_cost(allocator):
-    """The two sky positions cannot serve 95 % of the field, so that ``optimal`` gives up nearly all science targets."""
-    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 0.5 * u.mm)
-    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=20 * u.mm)
-    instrument = rs.Instrument("small", plane, plate_scale=100 * u.mm / u.deg)
-    offsets = np.random.default_rng(1).uniform(-1.05, 1.05, (400, 2)) * u.deg
-    kind = np.where(np.arange(400) < 2, "sky", "science")
-    catalog = rs.Catalog(SkyCoord(30 * u.deg + offsets[:, 0], offsets[:, 1]), kind=kind)
+    """``optimal`` gives up nearly all science targets."""
+    instrument, catalog = two_sky_positions(5, 400, 1.05)
     options = rs.AllocationOptions(allocator, constraints=["distribution sky 1 95 20"])
     with warnings.catch_warnings(record=True) as found:
         warnings.simplefilter("always")
@@ -262,12 +267,7 @@ def test_a_plan_states_the_targets_that_rules_cost(allocator):
 @pytest.mark.filterwarnings("default:the rules on the distribution of fibers cost")
 def test_a_survey_states_the_targets_that_rules_cost(tmp_path):
     """The first tile uses the visits of all targets that it observes; the numbers are those of single tiles."""
-    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 0.5 * u.mm)
-    plane = rs.FocalPlane.hexagonal(unit, rings=3, pitch=20 * u.mm)
-    instrument = rs.Instrument("small", plane, plate_scale=100 * u.mm / u.deg)
-    offsets = np.random.default_rng(1).uniform(-0.7, 0.7, (90, 2)) * u.deg
-    kind = np.where(np.arange(90) < 2, "sky", "science")
-    catalog = rs.Catalog(SkyCoord(30 * u.deg + offsets[:, 0], offsets[:, 1]), kind=kind)
+    instrument, catalog = two_sky_positions(3, 90, 0.7)
     tiles = SkyCoord([30, 30.1], [0, 0], unit="deg")
     options = rs.AllocationOptions("optimal", constraints=["distribution sky 1 95 20"])
 
