@@ -159,7 +159,7 @@ def test_instruments_are_compared_with_required_targets_and_circles(call, files,
     words = ["compare", "moons", "sdss_apo", "--catalog", folder / "stars.fits", "--center", "95 23"]
     words += [
         "--allocator",
-        "lamost",
+        "lamost_rule",
         "--constraint",
         "required 9",
         "--constraint",
