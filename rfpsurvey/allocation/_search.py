@@ -1,8 +1,7 @@
 """Find optimal plans: remove unnecessary candidates, divide the others into independent parts, and solve each part."""
 
-from collections.abc import Callable
 from dataclasses import replace
-from functools import cache, partial
+from functools import partial
 
 import numpy as np
 
@@ -18,6 +17,7 @@ from rfpsurvey.allocation._local_plans import (
     AT_LEAST,
     MOST_PAIRS,
     Found,
+    Repaired,
     better_of,
     local_optimum,
     plan_of,
@@ -53,8 +53,8 @@ FOR_BOUND, FOR_CLUSTERS = 0.3, 0.25
 # objective, and for the integer programs that give the bound of the first objective that is not proven.
 FOR_CANDIDATES, FOR_PRICES, FOR_FIRST = 0.45, 0.25, 0.6
 # The plan of ``repair`` is made before the search if finding the candidates takes more than the fraction LATE of the
-# time limit, or if the mean number of collisions per candidate exceeds LONG. If more than LARGEST candidates remain,
-# the search starts from this plan. Otherwise, it is made only if the search does not prove an optimum.
+# time limit, if the mean number of collisions per candidate exceeds LONG, or if there are more than LARGEST candidates;
+# the search then starts from this plan. Otherwise, it is made only if the search does not prove an optimum.
 LATE, LONG = 0.1, 12
 # A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost_rule`` misses
 # them by less than the fraction NEARLY.
@@ -102,9 +102,9 @@ def decide(
     is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
     if collide and is_long and not is_late and whole and not squared_cost:
         found = local_optimum(given, everything)
-    by_moves = cache(partial(repaired_plan, given, everything, whole))
-    if collide and (is_long or is_late) and found is None:
-        repaired = by_moves()
+    is_large = whole and len(everything) > LARGEST
+    if collide and (is_long or is_late or is_large) and found is None:
+        repaired = repaired_plan(given, everything, whole)
         if left(deadline) < spent:
             found = unproven(everything, repaired)
     n_left_out = everything.preselection.n_left_out if whole else 0
@@ -113,7 +113,7 @@ def decide(
     is_searched = found is None
     if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
-        used, found = _search(everything, end, collide=collide, by_moves=by_moves, **options)
+        used, found = _search(everything, end, collide=collide, repaired=repaired, **options)
     else:
         used = everything
     chosen, bounds, bounding = found.chosen, found.bounds, used
@@ -131,7 +131,8 @@ def decide(
         bounds = np.where(np.arange(len(bounds)) <= first, bounds if whole else np.inf, np.inf)
         limits = matching_limits(problem, everything if whole else None)
         if collide:
-            repaired = by_moves()
+            if repaired is None:
+                repaired = repaired_plan(given, everything, whole)
             used, chosen = better_of(used, chosen, everything, repaired, deadline)
             chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
@@ -263,20 +264,14 @@ def _whole(bound):
     return np.floor(bound + ROUNDING)
 
 
-def _search(everything: Candidates, deadline: float, *, collide: bool, by_moves: Callable | None = None, **options):
-    """Return the candidates that the search used, and the best plan that it found.
-
-    If many candidates remain, the search starts from the plan of ``repair``, which ``by_moves`` returns.
-    """
+def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
+    """Return the candidates that the search used, and the best plan that it found, from the plan ``repaired`` on."""
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
     end = share(deadline, FOR_REPAIR)
-    if collide and by_moves is not None and len(used) > LARGEST:
-        start, _ = plan_of(used, by_moves(), end)
-    else:
-        start = _plan(used, blind, collide, end)
+    start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, end)[0]
     found = _solve(used, blind, start, deadline, collide=collide, **options)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)

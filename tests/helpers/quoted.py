@@ -146,5 +146,12 @@ SCRIPTS = {
         )
         for name, title in {"sdss_apo": "SDSS-V", "moons": "MOONS", "desi": "DESI", "pfs": "PFS"}.items()
     ],
+    ("rule_figures", "--field", "sdss_apo:bright_time", "--seconds", "20"): [
+        Quoted(
+            "rules",
+            "no rules # ... counts # ... magnitude # ... bright_stars # ... distribution #",
+            "``bright_time`` no rules # ... numbers of fibers # ... magnitudes # ... bright stars # ... distribution #",
+        ),
+    ],
 }
 """The command line of each script, and the numbers that pages quote."""
