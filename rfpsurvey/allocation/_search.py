@@ -271,7 +271,8 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, repaired:
     blind = pick(used, match(used))
     # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
     end = share(deadline, FOR_REPAIR)
-    start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, end)[0]
+    # the plan of ``repair`` is not improved again
+    start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, now())[0]
     found = _solve(used, blind, start, deadline, collide=collide, **options)
     if not found.complete:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
