@@ -19,8 +19,8 @@ def convert(
     format: Annotated[  # noqa: A002
         str | None,
         typer.Option(
-            help="Format of the new file: confsummary, fiberassign, pfsdesign or table. By default, the extension of "
-            "the file name determines the format."
+            help="Format of the new file: confsummary, fiberassign, pfsdesign, table, or a format of an installed "
+            "package. By default, the extension of the file name determines the format."
         ),
     ] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,

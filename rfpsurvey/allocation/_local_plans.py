@@ -5,9 +5,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey.allocation._candidates import Candidates, find_candidates
+from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
-from rfpsurvey.allocation._local_search import match, pick, repair_collisions, repair_nearby, trim
+from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_collisions, repair_nearby, trim
 from rfpsurvey.allocation._methods import lamost_rule
 from rfpsurvey.allocation._problem import AllocationProblem
 
@@ -51,9 +51,7 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: boo
     """
     before = lamost_rule(problem).target_of_positioner
     if whole:
-        candidates = find_candidates(
-            problem, keep_target=before, most_pairs=0, squared_cost=problem.options.moves == "ejection"
-        )
+        candidates = movable_candidates(problem, before)
         first, seconds = pick(candidates, trim(problem, before)), max(left(problem.deadline), AT_LEAST)
         with suppress(OutOfTimeError):
             candidates, plan = repair_nearby(candidates, first, seconds=seconds, most_pairs=MOST_PAIRS)

@@ -5,7 +5,7 @@ import numpy as np
 from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey._kernels.eject import Goals, Plan, eject, new_move
-from rfpsurvey.allocation._candidates import Candidates
+from rfpsurvey.allocation._candidates import Candidates, find_candidates
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._distribution import add_neighbors, drop_neighbors, drop_unserved, pairs_within
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
@@ -27,6 +27,15 @@ MOST_LOST = 8
 BATCH = 2_000_000
 # Number of candidates per positioner from which finding the collisions of only some candidates saves time.
 CROWDED = 3
+
+
+def movable_candidates(problem: AllocationProblem, before: np.ndarray) -> Candidates:
+    """Return the candidates for moves from the plan ``before``; the collisions of two arms are not yet found.
+
+    Ejection moves prefer near targets among equally good ones, so that their candidates have costs.
+    """
+    is_ejection = problem.options.moves == "ejection"
+    return find_candidates(problem, keep_target=before, most_pairs=0, squared_cost=is_ejection)
 
 
 def match(candidates: Candidates) -> np.ndarray:

@@ -7,11 +7,10 @@ import numpy as np
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
-from rfpsurvey.allocation._candidates import find_candidates
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._distribution import lost_to_rules
 from rfpsurvey.allocation._given import changes_of, is_plan
-from rfpsurvey.allocation._local_search import match, pick, repair_nearby, trim
+from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_nearby, trim
 from rfpsurvey.allocation._objectives import DIGITS, scale_of, with_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.errors import check_choice, check_switch
@@ -138,9 +137,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
-    everything = find_candidates(
-        problem, keep_target=before, most_pairs=0, squared_cost=problem.options.moves == "ejection"
-    )
+    everything = movable_candidates(problem, before)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
     first = pick(everything, trim(problem, before), side)
     candidates, chosen = repair_nearby(everything, first, steady=is_plan(problem.options.start))

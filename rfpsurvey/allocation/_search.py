@@ -265,7 +265,10 @@ def _whole(bound):
 
 
 def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
-    """Return the candidates that the search used, and the best plan that it found, from the plan ``repaired`` on."""
+    """Return the candidates that the search used, and the best plan that it found.
+
+    The search starts from the plan ``repaired``, if it is given.
+    """
     problem = everything.problem
     used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))

@@ -28,6 +28,7 @@ FORMATS = ("confsummary", "fiberassign", "pfsdesign")
 TABLE = "table"
 """The format of this package, which is tested last."""
 GROUP = "rfpsurvey.plan_formats"
+"""Group of entry points of packages that add formats."""
 PARTS = ("ENDINGS", "read", "write", "recognizes", "lost")
 
 COLUMNS = {
@@ -126,7 +127,7 @@ def write_plan(
     format : str, optional
         Name of the format, as in `read_plan`. By default, the format is the entry ``format`` in the ``meta`` of the
         plan, if ``path`` has an ending of this format. Otherwise, the format is ``table`` for the endings ``.ecsv`` and
-        ``.fits``, and ``confsummary`` for the ending ``.par``.
+        ``.fits``, ``confsummary`` for the ending ``.par``, and the format of an installed package for other endings.
     overwrite : bool, optional
         Whether to replace an existing file.
 
@@ -194,7 +195,15 @@ def recognize_plan(path: str | os.PathLike) -> str | None:
 def native_format(path: str | os.PathLike) -> str | None:
     """Return the name of the format of a plan file of another program, or None for any other file, such as a table."""
     path = _existing(path)
-    return next((name for name in _names() if name != TABLE and _format(name).recognizes(path)), None)
+    for name in _names()[:-1]:
+        try:
+            if _format(name).recognizes(path):
+                return name
+        except InputError as error:
+            if name in FORMATS:
+                raise
+            warn(f"{error}; other formats are still recognized")
+    return None
 
 
 def plan_roles(table: Table) -> dict[str, str]:
@@ -375,16 +384,17 @@ def _format(name: str) -> object:
 
         return call
 
-    functions = {one: guarded(getattr(plugin.value, one)) for one in PARTS[1:]}
-    return SimpleNamespace(ENDINGS=plugin.value.ENDINGS, **functions)
+    return SimpleNamespace(ENDINGS=plugin.value.ENDINGS, **{n: guarded(getattr(plugin.value, n)) for n in PARTS[1:]})
 
 
 def _format_for(plan: QTable, path: Path) -> object:
     """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or the first that fits."""
-    known = {name: _format(name) for name in _names()}
-    found = [name for name, one in known.items() if suffix_of(path) in one.ENDINGS]
-    if not found:
-        endings = sorted({ending for one in known.values() for ending in one.ENDINGS})
-        raise InputError(f"{path}: the name of a plan must end in one of {', '.join(endings)} (or with .gz)")
+    names, ending, endings = _names(), suffix_of(path), set()
     own = plan.meta.get("format")
-    return known[own if own in found else TABLE if TABLE in found else found[0]]
+    # packages are imported only if no other format fits
+    for name in dict.fromkeys([*([own] if own in names else []), TABLE, *names]):
+        found = _format(name)
+        if ending in found.ENDINGS:
+            return found
+        endings.update(found.ENDINGS)
+    raise InputError(f"{path}: the name of a plan must end in one of {', '.join(sorted(endings))} (or with .gz)")

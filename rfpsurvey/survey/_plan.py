@@ -138,9 +138,10 @@ def plan_survey(
     RfpsurveyWarning
         If no target was observed, if tiles do not meet requirements or required targets were never observed
         (``summary["unmet"]``), if identifiers occur twice, if the catalog has no target of a kind or category that a
-        requirement names, if an option has no effect, if the tiles were placed for fields of another size, or if a
-        table of tiles looks like a catalog of targets. There are also warnings if a survey is continued with other
-        versions of the software, or if its files are damaged.
+        requirement names, if rules on the distribution of fibers cost more than 3 % of the science targets
+        (``summary["n_lost_to_rules"]``), if an option has no effect, if the tiles were placed for fields of another
+        size, or if a table of tiles looks like a catalog of targets. There are also warnings if a survey is continued
+        with other versions of the software, or if its files are damaged.
 
     See Also
     --------

@@ -212,11 +212,10 @@ def plan_digest(tile: int | str, positioner: np.ndarray, target_id: np.ndarray) 
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
-    is_lossy = options.distributions and options.method.distribution != "no"
     return {
         **COUNTS,
         **(MOTION if options.motion_law else {}),
-        **(LOST_TO_RULES if is_lossy else {}),
+        **(LOST_TO_RULES if options.distributions else {}),
         **shortfall_cards(options),
     }
 

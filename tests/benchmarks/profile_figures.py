@@ -65,7 +65,7 @@ def tile():
         total = min(total, perf_counter() - begin)
         for name, value in found.summary["seconds"].items():
             stages[name] = min(stages.get(name, np.inf), value)
-    print("plan_tile, LAMOST, 100,000 targets, allocator lamost")
+    print("plan_tile, LAMOST, 100,000 targets, allocator lamost_rule")
     for name, value in stages.items():
         show(name, 1e3 * value)
     show("rest", 1e3 * (total - sum(stages.values())))

@@ -39,6 +39,16 @@ def test_plans_of_the_example_are_written_read_and_scored(laboratory, presets, t
         rs.plans.write_plan(plan, path)
 
 
+def test_a_broken_package_breaks_no_other_format(install, presets, tmp_path):
+    install("bad", "import not_there", plan_formats={"bad": "HERE"})
+    tile = rs.plan_tile(rs.example_catalog(), presets["moons"])
+    rs.plans.write_plan(tile, tmp_path / "plan.ecsv")
+    with pytest.warns(rs.RfpsurveyWarning, match="the format of plans 'bad' of bad 1.0 .* other formats are still"):
+        assert rs.plans.read_plan(tmp_path / "plan.ecsv")["assigned"].sum() == tile.summary["n_assigned"]
+    with pytest.raises(rs.InputError, match="the format of plans 'bad' of bad 1.0"):
+        rs.plans.write_plan(tile, tmp_path / "plan.none")
+
+
 def test_incomplete_and_unknown_formats_are_named(laboratory, install, tmp_path):
     install("less", "ENDINGS = ('.less',)" + HERE, plan_formats={"less": "HERE"})
     (tmp_path / "a.lab").write_text("1 2 3 4\n")
