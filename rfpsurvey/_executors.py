@@ -4,8 +4,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Executor, Future
 from contextlib import contextmanager
-from dataclasses import dataclass
-from functools import cache
+from functools import cache, partial
 
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputTypeError, short
@@ -80,19 +79,14 @@ def _end_after(parent) -> None:
     os._exit(1)
 
 
-@dataclass(frozen=True)
-class _InWorker:
-    """A function for worker processes; its first call makes the worker process end when the parent process ends."""
-
-    function: Callable
-
-    def __call__(self, *arguments):
-        end_with_parent()
-        return self.function(*arguments)
+def _in_worker(function, *arguments):
+    """Call a function in a worker process; the first call makes the process end when the parent process ends."""
+    end_with_parent()
+    return function(*arguments)
 
 
 def _for_workers(executor, function):
-    """Return the function to submit to an executor; for a process pool, wrap it in `_InWorker`."""
+    """Return the function to submit to an executor; for a process pool, `_in_worker` calls it."""
     from concurrent.futures import ProcessPoolExecutor
 
-    return _InWorker(function) if isinstance(executor, ProcessPoolExecutor) else function
+    return partial(_in_worker, function) if isinstance(executor, ProcessPoolExecutor) else function

@@ -8,17 +8,15 @@ replaces another one receives its line first; until it is renamed, the line of t
 import hashlib
 import json
 import re
-import shutil
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
 from filelock import FileLock, Timeout
 
-from rfpsurvey._checkpoint import check_request, warn_of_software
-from rfpsurvey._io import TEMPORARY_PREFIX, suffix_of, to_path, write_bytes, writing_to, written
+from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes, writing_to, written
 from rfpsurvey._outputs import check_parent
-from rfpsurvey._readers import content_of, is_present, open_file, parse_json
-from rfpsurvey._temporary import temporary
+from rfpsurvey._readers import content_of, is_present, open_file, parse_json, suffix_of
+from rfpsurvey._temporary import remove, temporary
 from rfpsurvey.errors import InputError, warn
 
 INDEX, LOCK = "index.csv", "lock"
@@ -110,10 +108,9 @@ class RequestFolder:
         return (self.path / self.request_name).is_file()
 
     def _refuse_others(self):
-        others = [entry.name for entry in self.path.iterdir() if entry.name != LOCK]
-        others = [name for name in others if not name.startswith(TEMPORARY_PREFIX)]
-        if others:
-            raise InputError(f"{self.path} must be a new or empty folder, got one that contains {others[0]}")
+        for entry in self.path.iterdir():
+            if entry.name != LOCK and not entry.name.startswith(TEMPORARY_PREFIX):
+                raise InputError(f"{self.path} must be a new or empty folder, got one that contains {entry.name}")
 
     def _open(self):
         if self._begun and not self._resume:
@@ -121,7 +118,7 @@ class RequestFolder:
                 f"{self.path} holds a {self.work}; continue it with resume=True (or --resume), or give another folder"
             )
         if self._begun:
-            self._compare(load_request(self.path / self.request_name))
+            self._compare(load_request(self.path / self.request_name), dict(self._request))
             self._read()
         remove_temporary(self.path)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
@@ -140,9 +137,8 @@ class RequestFolder:
         """Return whether the folder can have a file with this name."""
         return True
 
-    def _compare(self, before: dict):
-        """Raise an error if the request differs from the request of the unfinished work."""
-        now = dict(self._request)
+    def _compare(self, before: dict, now: dict):
+        """Raise an error if the request ``now`` differs from the request of the unfinished work."""
         warn_of_software(self.path, before.pop("software", None), now.pop("software", None), self.parts)
         if "method" in before:
             raise InputError(
@@ -194,10 +190,7 @@ class RequestFolder:
 def remove_temporary(path: Path) -> None:
     """Remove temporary files in a locked folder, which a process left that was killed."""
     for left_over in list(path.rglob(f"{TEMPORARY_PREFIX}*")):
-        if left_over.is_dir():
-            shutil.rmtree(left_over, ignore_errors=True)
-        else:
-            left_over.unlink(missing_ok=True)
+        remove(left_over)
 
 
 def _entry_of(path: Path) -> tuple[int, str]:
@@ -272,3 +265,50 @@ def load_request(path: Path) -> dict:
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
     except InputError as error:
         raise InputError(f"{path} is damaged ({error}); start again in another folder") from None
+
+
+def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:
+    """Raise an error if the present request differs from the request with which the unfinished work began.
+
+    Parameters
+    ----------
+    path : Path
+        File or folder of the unfinished work.
+    before, now : dict
+        The request of the unfinished work, and the present request. Each request maps names to values that JSON can
+        represent.
+    work, place : str
+        Words for the error message: the kind of work, such as "scan", and the parameter that the user can change to
+        begin new work, such as "path".
+
+    Raises
+    ------
+    InputError
+        If the two requests differ.
+    """
+    different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
+    if different:
+        name = different[0]
+        raise InputError(
+            f"{path} holds another {work}: {', '.join(different)} {'differs' if len(different) == 1 else 'differ'} "
+            f"({name} was {_short(before.get(name))} and is now {_short(now.get(name))}); give another {place}"
+        )
+
+
+def warn_of_software(path: Path, before: object, now: object, parts: str) -> None:
+    """Issue a warning if unfinished work was begun with different versions of the software.
+
+    ``before`` and ``now`` contain the versions with which the work was begun, and the present versions. ``parts`` is
+    the word for the results in the warning, such as "tiles".
+    """
+    if before != now:
+        text = (
+            f"{path} was begun with other versions of the software (rfpsurvey or the packages that it uses); its "
+            f"{parts} may differ by rounding errors"
+        )
+        warn(text)
+
+
+def _short(value: object) -> str:
+    text = str(value)
+    return text if len(text) <= 60 else text[:57] + "..."

@@ -23,29 +23,11 @@ from astropy.table import QTable, Table
 from astropy.units import Unit
 
 from rfpsurvey._outputs import WRITABLE, check_new_folder, check_output, check_texts
-from rfpsurvey._readers import META_KEY, is_known, read_fits_bytes, read_table, sentence, suffix_of, to_path
+from rfpsurvey._readers import META_KEY, is_fits, is_known, sentence, to_path
+from rfpsurvey._readers import read_fits_bytes as read_fits_bytes
+from rfpsurvey._readers import read_table as read_table
 from rfpsurvey._temporary import temporary
 from rfpsurvey.errors import InputError, listed
-
-__all__ = [
-    "META_KEY",
-    "TEMPORARY_PREFIX",
-    "FitsRows",
-    "check_fits_text",
-    "check_output",
-    "fits_bytes",
-    "read_fits_bytes",
-    "read_table",
-    "suffix_of",
-    "table_cards",
-    "temporary_folder",
-    "to_path",
-    "write_bytes",
-    "write_fits_rows",
-    "write_table",
-    "writing_to",
-    "written",
-]
 
 TEMPORARY_PREFIX = ".rfpsurvey-"
 # Number of bytes of a block of a FITS file, which is also the size of a primary header without data.
@@ -73,7 +55,7 @@ def write_table(
     for one in (table, *(others or {}).values()):
         check_texts(one, path)
     with writing_to(path, WRITABLE, overwrite=overwrite) as own:
-        if suffix_of(path) == ".fits":
+        if is_fits(path):
             with _writing(f"{path}: the table", "FITS", "; write .ecsv instead"):
                 _to_hdus(table, cards, name, others or {}).writeto(own)
         else:
@@ -150,15 +132,15 @@ def _beside(path: Path) -> Path:
 def _rename_to_new(temporary: Path, path: Path) -> None:
     """Rename a file, and raise an error if a file with the new name exists."""
     try:
-        os.link(temporary, path)
+        try:
+            os.link(temporary, path)
+        except FileExistsError:
+            raise
+        except OSError:  # the file system has no hard links
+            path.touch(exist_ok=False)
+            os.replace(temporary, path)
     except FileExistsError:
         raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)") from None
-    except OSError:  # the file system has no hard links
-        try:
-            path.touch(exist_ok=False)
-        except FileExistsError:
-            raise InputError(f"{path} exists; to replace it, use overwrite=True (or --overwrite)") from None
-        os.replace(temporary, path)
 
 
 @contextmanager
@@ -334,35 +316,17 @@ def _fits_template(dtype: np.dtype, fixed: tuple):
 
 def fits_card(name: str, value: object, comment: str = "") -> bytes:
     """Return a FITS card in the format of astropy; simple cards are formatted without astropy, which is faster."""
-    if isinstance(value, bool) or not isinstance(value, int | float | str):
-        return _slow_card(name, value, comment)
-    if isinstance(value, str):
-        if not value.isascii() or not value.isprintable() or "'" in value or not value.strip():
-            return _slow_card(name, value, comment)
-        text = "'" + value.ljust(8) + "'"
-        text = f"{text:20}"
-    elif isinstance(value, int):
+    text, plain = "", str(value)
+    if isinstance(value, str) and value.isascii() and value.isprintable() and "'" not in value and value.strip():
+        quoted = f"'{value:8}'"
+        text = f"{quoted:20}"
+    elif isinstance(value, int) and not isinstance(value, bool):
         text = f"{value:20d}"
-    else:
-        text = _float_text(value)
-        if text is None:
-            return _slow_card(name, value, comment)
-        text = f"{text:>20}"
+    elif isinstance(value, float) and not {*"en"} & {*plain} and len(plain) <= 20:  # finite, without an exponent
+        text = f"{plain:>20}"
     card = f"{name:8}= {text}" + (f" / {comment}" if comment else "")
-    if len(card) > 80 or len(name) > 8:
-        return _slow_card(name, value, comment)
-    return f"{card:80}".encode("ascii")
-
-
-def _float_text(value: float) -> str | None:
-    """Return a number as text for a FITS card; None if it is not finite, or its text is too long or has an exponent."""
-    text = str(value)
-    if "e" in text or "n" in text or len(text) > 20:
-        return None
-    return text
-
-
-def _slow_card(name, value, comment) -> bytes:
+    if text and len(card) <= 80 and len(name) <= 8:
+        return f"{card:80}".encode("ascii")
     from astropy.io import fits
 
     return str(fits.Card(name, value, comment)).encode("ascii")

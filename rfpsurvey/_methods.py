@@ -6,8 +6,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import TypeVar
 
-__all__ = ["Method", "describe_methods", "help_of", "table_of"]
-
 T = TypeVar("T")
 WIDTH = 120
 

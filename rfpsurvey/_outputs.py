@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._readers import is_present, suffix_of, to_path
+from rfpsurvey._readers import ZIPPED, has_ending, is_present, to_path
 from rfpsurvey.errors import InputError, check_switch
 
 WRITABLE = (".fits", ".ecsv")
-ZIPPED = (".gz", ".bz2", ".xz")
 
 
 def check_output(
@@ -24,7 +23,7 @@ def check_output(
     """
     path = to_path(path)
     zipped = path.suffix.lower() in ZIPPED
-    if suffix_of(path) not in endings or (
+    if not has_ending(path, endings) or (
         zipped and (path.suffix.lower() != ".gz" or not (gzipped or endings is WRITABLE))
     ):
         raise InputError(f"{path}: the name of this output file must end in {' or '.join(endings)}")

@@ -82,6 +82,16 @@ def name_of(given: str | Callable) -> str:
     return ascii(f"{thing.__module__}.{thing.__qualname__}")[1:-1]
 
 
+def recorded_name(group: str, known: Iterable[str], name: str, parameter: str) -> str:
+    """Return a name in a record; raise an error if it is neither known nor the name of a plugin, but of a function."""
+    if name in known or name in plugin_names(group):
+        return name
+    raise InputError(
+        f"{parameter} must be given as an argument of from_record, because a record contains only the name of "
+        f"a function, got {name!r}"
+    )
+
+
 @cache
 def _load(group: str, name: str, what: str) -> Plugin:
     """Import a plugin; the call can be repeated after a failure, because only successful imports are cached."""

@@ -1,5 +1,6 @@
 """The roles of targets: science, standard and sky; the kind of a target with several roles joins them by plus signs."""
 
+from collections.abc import Iterable
 from itertools import combinations
 
 import numpy as np
@@ -41,6 +42,15 @@ def has_role(kind: np.ndarray, role: str) -> np.ndarray:
             if role in joined.split("+"):
                 found = found | (kind == joined)
     return found
+
+
+def count_also_science(kind: np.ndarray, counted: Iterable[str]) -> int:
+    """Return the number of science targets that also have a role for which there is a requirement.
+
+    ``counted`` contains the kinds and categories that requirements count.
+    """
+    others = [has_role(kind, role) for role in {*KINDS[1:]}.intersection(counted)]
+    return int((has_role(kind, "science") & np.any(others, axis=0)).sum())
 
 
 def without_science(kind: np.ndarray) -> np.ndarray:

@@ -15,17 +15,18 @@ def temporary(path: Path) -> Iterator[Path]:
     try:
         yield path
     finally:
-        _remove(path)
+        remove(path)
         _paths.discard(path)
 
 
 def remove_all() -> None:
     """Remove the temporary files and folders of all threads, before a signal ends the process."""
     for path in list(_paths):
-        _remove(path)
+        remove(path)
 
 
-def _remove(path: Path) -> None:
+def remove(path: Path) -> None:
+    """Remove a file or a folder, if it exists and can be removed."""
     with suppress(OSError):
         if path.is_dir():
             shutil.rmtree(path, ignore_errors=True)

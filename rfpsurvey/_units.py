@@ -19,7 +19,7 @@ from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import is_number
-from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, InputUnitsError, listed, refusal, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, InputUnitsError, listed, refusing, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128
 
@@ -28,29 +28,32 @@ class ByValue:
     """Base class of frozen dataclasses of settings, which are equal if all their values, units and types are equal."""
 
     def __eq__(self, other):
-        return _value_of(self) == _value_of(other) if type(self) is type(other) else NotImplemented
+        return self._values() == other._values() if type(self) is type(other) else NotImplemented
 
     def __hash__(self):
-        return hash(_value_of(self))
+        return hash(self._values())
+
+    def _values(self) -> tuple:
+        return tuple(value_of(getattr(self, one.name)) for one in fields(self) if one.compare)
 
 
-def _value_of(value: object) -> object:
+def value_of(value: object) -> object:
     """Return an object that can be compared and hashed, and that is equal for equal values; NaN is equal to NaN."""
     if isinstance(value, ByValue):
-        return tuple(_value_of(getattr(value, one.name)) for one in fields(value) if one.compare)
+        return value._values()
     if isinstance(value, u.Quantity):
-        return str(value.unit), _value_of(value.value)
+        return str(value.unit), value_of(value.value)
     if isinstance(value, Time):
-        return value.scale, _value_of(np.asarray(value.jd1)), _value_of(np.asarray(value.jd2))
+        return value.scale, value_of(np.asarray(value.jd1)), value_of(np.asarray(value.jd2))
     if isinstance(value, SkyCoord):
-        return repr(value.frame.replicate_without_data()), _value_of(value.data.to_cartesian().xyz)
+        return repr(value.frame.replicate_without_data()), value_of(value.data.to_cartesian().xyz)
     if isinstance(value, Table):
-        return tuple((name, _value_of(value[name])) for name in value.colnames)
+        return tuple((name, value_of(value[name])) for name in value.colnames)
     if isinstance(value, np.ndarray | np.void):
         return np.shape(value), str(value.dtype), tuple(value.ravel()) if value.dtype.hasobject else value.tobytes()
     if isinstance(value, dict):
-        return frozenset((name, _value_of(one)) for name, one in value.items())
-    return tuple(map(_value_of, value)) if isinstance(value, list | tuple) else value
+        return frozenset((name, value_of(one)) for name, one in value.items())
+    return tuple(map(value_of, value)) if isinstance(value, list | tuple) else value
 
 
 def locked(array: np.ndarray) -> np.ndarray:
@@ -185,6 +188,18 @@ def to_lonlat(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.arctan2(y, x), np.arctan2(z, np.hypot(x, y))
 
 
+def from_lonlat(lon: np.ndarray, lat: np.ndarray) -> np.ndarray:
+    """Return the unit vectors of longitudes and latitudes (radians), shape (..., 3)."""
+    return np.stack(np.broadcast_arrays(np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=-1)
+
+
+def to_axes(lon: np.ndarray, lat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Return the unit vectors of positions, and of the directions east and north there, shape (..., 3) each."""
+    east = np.stack([-np.sin(lon), np.cos(lon), np.zeros_like(lon)], axis=-1)
+    north = np.stack([-np.sin(lat) * np.cos(lon), -np.sin(lat) * np.sin(lon), np.cos(lat)], axis=-1)
+    return from_lonlat(lon, lat), east, north
+
+
 def to_plain(column: object, name: str = "the values", what: str = "numbers or text") -> np.ndarray:
     """Return an array without unit and mask; masked numbers become NaN, and masked text becomes empty."""
     values = getattr(column, "value", column)
@@ -316,12 +331,8 @@ def check_columns(names: Collection[str], required: Iterable[str], what: str) ->
 
 def to_visits(visits: object, n: int) -> np.ndarray:
     """Return the requested number of visits of each of n targets as 8-bit integers."""
-    try:
+    with refusing("visits must be whole numbers", visits, object):
         values = to_dimensionless(visits, "visits").astype(float)
-    except InputError:
-        raise
-    except INCONVERTIBLE:
-        raise InputError(f"visits must be whole numbers, got {short(visits)}") from None
     if values.shape not in ((), (n,)):
         raise InputError(f"visits must be one number or have the shape ({n},), got {values.shape}")
     low = 0 if values.ndim else 1  # without any visits, there is nothing to plan
@@ -333,14 +344,12 @@ def to_visits(visits: object, n: int) -> np.ndarray:
 
 def to_generator(rng: object) -> np.random.Generator:
     """Convert a seed, a Generator or None to a NumPy Generator."""
-    try:
+    with refusing("rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None", rng, Number):
         if isinstance(rng, np.random.RandomState):
             raise TypeError
         if isinstance(rng, Integral) and rng >= MOST_SEED:
             raise ValueError
         return np.random.default_rng(rng)
-    except INCONVERTIBLE:
-        raise refusal("rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None", rng, Number) from None
 
 
 def is_seed_given(rng) -> bool:

@@ -13,31 +13,7 @@ from typing import TypeVar
 
 from astropy.units import UnitsError
 
-__all__ = [
-    "INCONVERTIBLE",
-    "InputError",
-    "InputTypeError",
-    "InputUnitsError",
-    "RfpsurveyWarning",
-    "brief",
-    "check_choice",
-    "check_fiber_type",
-    "check_keywords",
-    "check_switch",
-    "check_whole",
-    "close_to",
-    "is_real",
-    "items_of",
-    "listed",
-    "number_of",
-    "one_line",
-    "refusal",
-    "short",
-    "used_elsewhere",
-    "warn",
-    "warn_no_effect",
-    "warn_of_unused",
-]
+__all__ = ["InputError", "InputTypeError", "InputUnitsError", "RfpsurveyWarning"]
 
 INCONVERTIBLE = TypeError, ValueError, OverflowError
 """Exceptions of Python, NumPy and astropy for values that they cannot convert; floats cannot contain all integers."""
@@ -179,7 +155,7 @@ def warn_no_effect(name: str, why: str) -> None:
 
 
 def warn_of_unused(given: Iterable[str], chosen: Collection, methods: Iterable, what: str) -> None:
-    """Issue a warning for each given option that none of the chosen methods uses.
+    """Issue a warning for each given option that none of the chosen methods uses, although other methods use it.
 
     Parameters
     ----------
@@ -193,8 +169,8 @@ def warn_of_unused(given: Iterable[str], chosen: Collection, methods: Iterable, 
         Noun for a method, such as "allocator".
     """
     for name in given:
-        if not any(one.uses(name) for one in chosen):
-            users = [one.name for one in methods if one.options is not None and name in one.options]
+        users = [one.name for one in methods if one.options is not None and name in one.options]
+        if users and not any(one.uses(name) for one in chosen):
             who = f"{', '.join(users[:-1])} and {users[-1]} use" if len(users) > 1 else f"{users[0]} uses"
             names = dict.fromkeys(repr(one.name) for one in chosen)
             plural = "s" if len(names) > 1 else ""
@@ -258,6 +234,17 @@ def refusal(text: str, value: object, *types: type) -> InputError:
     """Return the error for an invalid value: an InputError if it has one of ``types``, otherwise an InputTypeError."""
     kind = InputError if isinstance(value, types) else InputTypeError
     return kind(f"{text}, got {short(value)}")
+
+
+@contextmanager
+def refusing(text: str, value: object, *types: type) -> Iterator[None]:
+    """Convert exceptions for a value that Python, NumPy or astropy cannot convert to the error of `refusal`."""
+    try:
+        yield
+    except InputError:
+        raise
+    except INCONVERTIBLE:
+        raise refusal(text, value, *types) from None
 
 
 def short(value: object) -> str:

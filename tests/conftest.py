@@ -1,5 +1,6 @@
 import gc
 import os
+import signal
 import sys
 from pathlib import Path
 
@@ -17,6 +18,8 @@ from rfpsurvey._cli import _process
 # The imported modules and the collected tests exist until the end. Excluding them from garbage collection saves time.
 gc.disable()
 matplotlib.use("agg")
+# a process that a script started in the background ignores interrupts, which some tests send
+signal.signal(signal.SIGINT, signal.default_int_handler)
 # surveys are planned before the nights of the tests
 os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")
 # the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced

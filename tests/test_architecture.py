@@ -9,6 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from rfpsurvey import allocation, collision, probability, tiling
+from rfpsurvey.plans._plan import FORMATS
+
 ROOT = Path(__file__).parent.parent
 PACKAGE, TESTS = ROOT / "rfpsurvey", ROOT / "tests"
 FILES = sorted(path for path in PACKAGE.rglob("*.py") if path.name != "_version.py")
@@ -87,6 +90,23 @@ def test_folders_of_tests_are_those_of_the_package():
     packages = {path.parent.name.removeprefix("_") for path in PACKAGE.glob("*/__init__.py")}
     folders = {path.parent.name for path in TESTS.glob("*/test_*.py")}
     assert folders - packages == {"benchmarks", "cuda", "figures", "reproduction"}
+
+
+TABLES = (allocation.METHODS, collision.METHODS, probability.METHODS, tiling.METHODS)
+
+
+@pytest.mark.parametrize("names", [{name for table in TABLES for name in table} - {"given"}, FORMATS])
+def test_names_of_methods_and_of_formats_of_plans_are_not_compared(names):
+    """Other code asks for properties of records and of modules; ``given`` is also the name of a kind of targets."""
+    compared = []
+    for path in FILES:
+        for node in nodes_of(path):
+            parts = [node.left, *node.comparators] if isinstance(node, ast.Compare) else []
+            texts = [one.value for part in parts for one in ast.walk(part) if isinstance(one, ast.Constant)]
+            compared += [
+                f"{path.name}:{node.lineno} {text}" for text in texts if isinstance(text, str) and text in names
+            ]
+    assert not compared
 
 
 def test_paths_in_the_configuration_of_tox_exist():

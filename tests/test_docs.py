@@ -5,7 +5,8 @@ import importlib.util
 import re
 import shlex
 import zlib
-from collections import Counter
+from collections import Counter, defaultdict
+from operator import attrgetter
 from pathlib import Path
 
 import pytest
@@ -16,15 +17,31 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 
 
-def test_every_public_name_is_on_the_api_page_once():
+def names_on_the_api_page():
+    """Return the names of classes and functions, and the names of other values."""
     lines = (DOCS / "api.rst").read_text().splitlines()
     listed = [line.strip() for line in lines if re.fullmatch(r"    [\w.]+", line)]
-    listed += [line.split()[-1] for line in lines if line.startswith(".. py:data::")]
+    return listed, [line.split()[-1] for line in lines if line.startswith(".. py:data::")]
+
+
+def test_every_public_name_is_on_the_api_page_once():
+    objects, others = names_on_the_api_page()
+    listed = objects + others
     assert sorted(name for name in listed if "." not in name) == sorted(rs.__all__)
     assert len(set(listed)) == len(listed)
     for package in ("plot", "benchmark"):
         public = [name for name in getattr(rs, package).__all__ if name.startswith(f"{package}_")]
         assert sorted(name.split(".")[1] for name in listed if name.startswith(f"{package}.")) == sorted(public)
+
+
+def test_all_documented_objects_of_a_module_are_documented_under_one_package():
+    """The documentation links from source code to objects of a module under the package of one of them."""
+    packages = defaultdict(set)
+    for name in names_on_the_api_page()[0]:
+        package = name.rpartition(".")[0]
+        packages[getattr(attrgetter(name)(rs), "__module__", name)].add(package)
+    assert len(packages) > 50
+    assert {module: found for module, found in packages.items() if len(found) > 1} == {}
 
 
 CONSOLE = [

@@ -3,6 +3,7 @@
 import inspect
 import pickle
 import warnings
+from types import SimpleNamespace
 
 import astropy.units as u
 import pytest
@@ -11,7 +12,7 @@ from astropy.coordinates import SkyCoord
 import rfpsurvey as rs
 from rfpsurvey import errors
 from rfpsurvey._methods import Method, table_of
-from rfpsurvey.errors import short, warn
+from rfpsurvey.errors import short, warn, warn_of_unused
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 PLANE = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, ROBOT)
@@ -136,3 +137,12 @@ def test_each_option_that_no_method_uses_causes_a_warning(given, chosen, expecte
         with errors.used_elsewhere("effort", "seed"):
             errors.warn_of_unused(given, chosen, methods.values(), "method")
     assert [str(one.message) for one in told] == expected
+
+
+def test_an_option_that_no_method_names_applies_to_all_methods():
+    methods = [SimpleNamespace(name=name, options=("first",), uses=lambda _: False) for name in "ab"]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_unused(["second"], methods[:1], methods, "method")
+    with pytest.warns(rs.RfpsurveyWarning, match="first has no effect with the method 'a'; only a and b use it"):
+        warn_of_unused(["first"], methods[:1], methods, "method")

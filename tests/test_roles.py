@@ -5,6 +5,7 @@ from itertools import permutations
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
@@ -74,6 +75,8 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     assert counts["science"]["n_assigned"] == plain.summary["n_assigned"]  # the requirement costs no science target
     score = rs.score_tile(tile.table, small, constraints=["standard=6", f"standard=-{both - 1}"])
     assert [one["verdict"] for one in score.rules] == ["pass", "fail"]
+    assert score.summary["n_also_science"] == both
+    assert "n_also_science" not in rs.score_tile(tile.table, small, constraints=["science=6", "sky=1"]).summary
     assert dict(zip(tile.completeness["kind"], tile.completeness["n_assigned"], strict=True))["standard"] == both
     for ending in (".fits", ".ecsv"):
         tile.write(tmp_path / f"tile{ending}")
@@ -84,6 +87,13 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     assert code == 0, err
     assert "roles: 30 science and standard, 55 science, 5 standard" in " ".join(out.split())
     assert "that are science targets (standard)" in out
+    planned = rs.plan_tile(catalog, "sdss_apo", "8h +30d", allocator=options)
+    planned.write(tmp_path / "planned.ecsv")
+    given = ["--constraint", "standard=6", "--report", tmp_path / "score.html"]
+    code, out, err = run("score", tmp_path / "planned.ecsv", *given)
+    assert code == 0, err
+    for text in (" ".join(out.split()), (tmp_path / "score.html").read_text()):
+        assert "that are also science targets" in text
 
 
 def test_collision_probabilities_use_science_targets_with_other_roles(small):
@@ -107,6 +117,85 @@ def test_formats_with_one_role_keep_the_last_one():
     ]
 
 
+@pytest.mark.parametrize("layout", ["preset", "as built"])
+@pytest.mark.parametrize("column", ["DESI_TARGET", "MWS_TARGET"])
+def test_a_tile_of_desi_has_ten_standards_per_petal_that_are_also_science_targets(presets, real_data, layout, column):
+    n, center, rng = 9000, SkyCoord("10h +30d"), np.random.default_rng(7)
+    sky = rs.synthetic_catalog("uniform", center, 1.6 * u.deg, n_targets=n, rng=4).coord
+    kind = rng.choice(["science", "standard", "sky"], n, p=[0.78, 0.1, 0.12])
+    bits = np.where(kind == "sky", 1 << 32, 1 << 61)  # SKY, MWS_ANY
+    table = Table({"TARGETID": np.arange(n), "RA": sky.ra.deg, "DEC": sky.dec.deg, "DESI_TARGET": bits})
+    table["MWS_TARGET"] = np.zeros(n, dtype=int)
+    table["PRIORITY_INIT"], table["SUBPRIORITY"] = np.where(kind == "sky", -1, 1500), rng.random(n)
+    table["NUMOBS_INIT"] = np.where(kind == "sky", -1, 1)
+    table[column] |= np.where(kind == "standard", 1 << 35, 0)  # STD_BRIGHT or GAIA_STD_BRIGHT
+    desi = presets["desi"] if layout == "preset" else rs.Instrument.from_desi(real_data("desi"))
+    options = rs.AllocationOptions("repair", requirements=["standard=10/spectrograph", "sky=40/spectrograph"])
+    tile = rs.plan_tile(rs.Catalog.from_table(table), desi, center, allocator=options)
+    assert not tile.summary["unmet"]
+    used = tile.table[tile.table["status"] == "assigned"]
+    spectrograph = dict(zip(desi.focal_plane.id.tolist(), desi.focal_plane.spectrograph.tolist(), strict=True))
+    has_bit = np.isin(np.asarray(used["target_id"]), np.flatnonzero(kind == "standard"))
+    petals = [spectrograph[name] for name in np.asarray(used["id"])[has_bit].tolist()]
+    numbers = np.unique(petals, return_counts=True)[1]
+    assert len(numbers) == 10
+    assert numbers.min() >= 10
+    assert tile.summary["kinds"]["standard"]["n_also_science"] == len(petals)
+
+
+@pytest.mark.parametrize(("name", "instrument"), [("confSummary-1.par", "sdss_apo"), ("design.fits", "pfs")])
+def test_written_files_with_one_role_contain_the_last_one(tmp_path, presets, name, instrument):
+    center = SkyCoord("10h +30d")
+    sky = rs.synthetic_catalog("uniform", center, 0.6 * u.deg, n_targets=600, rng=2).coord
+    kind = np.tile(["science", "science+standard", "science+sky", "standard"], 150)
+    catalog = rs.Catalog(sky, id=np.arange(600), kind=kind)
+    tile = rs.plan_tile(catalog, presets[instrument], center, allocator="nearest")
+    with pytest.warns(rs.RfpsurveyWarning, match="roles? science of targets that have several roles"):
+        tile.write(tmp_path / name, format="confsummary" if instrument == "sdss_apo" else "pfsdesign")
+    plan = rs.plans.read_plan(tmp_path / name)
+    used = plan[np.asarray(plan["assigned"])]
+    ids = np.asarray(used["target_id"])
+    kinds = np.asarray(used["kind"]).astype(str)[ids >= 0].tolist()
+    assert kinds == last_role(kind[ids[ids >= 0]]).tolist()
+    assert {*kinds} == {"science", "standard", "sky"}
+
+
 def replace_kind(catalog):
     """Return the science targets of a catalog, without other roles."""
     return rs.Catalog(catalog.coord[np.char.find(catalog.kind, "science") >= 0])
+
+
+@pytest.fixture
+def sky_and_kinds():
+    sky = rs.synthetic_catalog("uniform", "8h +30d", 0.4 * u.deg, n_targets=300, rng=1).coord
+    return sky, np.random.default_rng(0).choice(["science", "science+standard", "sky"], 300)
+
+
+def test_a_rule_on_the_distribution_counts_a_standard_that_is_also_a_science_target_as_its_own_neighbor(
+    presets, sky_and_kinds
+):
+    sky, kind = sky_and_kinds
+    options = rs.AllocationOptions("repair", requirements=["standard=8"], constraints=["distribution standard 1 95 60"])
+    tile = rs.plan_tile(
+        rs.Catalog(sky, id=np.arange(300), kind=kind), presets["sdss_apo"], "8h +30d", allocator=options
+    )
+    used = tile.table[tile.table["status"] == "assigned"]
+    roles, xy = kind[np.asarray(used["target_id"])], np.column_stack([used["tip_x"].value, used["tip_y"].value])
+    standards = xy[roles == "science+standard"]
+    nearest = np.linalg.norm(xy[:, np.newaxis] - standards, axis=2).min(axis=1)[roles != "sky"]
+    rule = tile.rules[-1]
+    assert (rule["verdict"], rule["number"]) == ("pass", 100)
+    assert f"{np.percentile(nearest, 95):.3f} mm" in rule["note"]
+
+
+def test_a_tiling_counts_each_target_with_several_roles_once(presets, sky_and_kinds):
+    sky, kind = sky_and_kinds
+    options = rs.AllocationOptions("repair", requirements=["standard=8"])
+    plain = np.where(kind == "sky", "sky", "science")
+    tilings = [
+        rs.place_tiles(rs.Catalog(sky, kind=one), presets["sdss_apo"], n_tiles=2, allocator=allocator)
+        for one, allocator in ((kind, options), (plain, rs.AllocationOptions("repair")))
+    ]
+    several, alone = (one.summary for one in tilings)
+    assert several["n_targets"] == alone["n_targets"] == np.count_nonzero(kind != "sky")
+    assert several["n_observed"] == alone["n_observed"] > 50

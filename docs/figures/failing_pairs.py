@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.plot._arms import capsules
+from rfpsurvey.plot._scene import capsules
 
 SEPARATION, N_POINTS = 5.0782, 3
 PAIRS = {

@@ -126,20 +126,22 @@ def _repeat(scene, method, stop, repeats, settings):
     targets = RandomTargets(number=n_targets)
     finest = min(precisions.values()) / settings.pick(20, 5)
     truth = collision_probability(plane, targets=targets, precision=finest, rng=settings.seed + 1).value
-    simulation = Simulation(plane, make_source(plane, None, targets), AllocationOptions(QUEUEING))
+    source = make_source(plane, None, targets)
+    simulation = Simulation(plane, source, AllocationOptions(QUEUEING))
     task = simulation.draw if method == "monte_carlo" else simulation.expect
     precision = Precision(precisions[method], 100_000, CONFIDENCE, "wilson", stop)
     kinds = list(INTERVALS) if stop == "interval" else ["wilson"]
     held, widths, errors, iterations = dict.fromkeys(kinds, 0), dict.fromkeys(kinds, 0.0), [], []
     seed = [settings.seed, 95, list(SCENES).index(scene), ("monte_carlo", "conditional").index(method), len(stop)]
     for rng in np.random.default_rng(seed).spawn(repeats):
-        tallies, found = run(ProbabilityQuestion(plane, precision=precision, rng=rng), task, METHODS[method].chunk)
+        question = ProbabilityQuestion(plane, source, precision=precision, rng=rng)
+        tallies, found = run(question, task, METHODS[method].chunk)
         errors.append(found["value"] - truth)
         iterations.append(sum(len(tally.pairs) for tally in tallies))
         for kind in kinds:
             own = dict(found)
             if kind != "wilson":
-                own = summarize(tallies, plane, replace(precision, interval=kind), rng, given=False)
+                own = summarize(tallies, replace(question, precision=replace(precision, interval=kind)))
             held[kind] += own["low"] <= truth <= own["high"]
             widths[kind] += (own["high"] - own["low"]) / 2 / repeats
     ratio = float(np.sqrt(np.mean(np.square(errors)))) / precisions[method]

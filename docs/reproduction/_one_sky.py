@@ -8,7 +8,7 @@ from reproduction._designs import Settings, each, error_of_fraction
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Precision, RandomTargets, make_source
+from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets, make_source
 from rfpsurvey.probability._run import summarize
 from rfpsurvey.probability._simulate import Simulation
 
@@ -76,11 +76,11 @@ def _row(arms, rings, number, sky, settings):
     seed = [settings.seed, 37, list(ARMS).index(arms), rings, round(10 * number), len(sky)]
     rng, other = np.random.default_rng(seed).spawn(2)
     truth = float(simulation.expect(skies, other).rates().mean())
-    precision, found = Precision(None, 1, CONFIDENCE), []
+    given, found = ProbabilityQuestion(plane, precision=Precision(None, 1, CONFIDENCE), rng=rng), []
     for _ in range(skies):
         tally = simulation.expect(1, rng)
         if len(tally.rates()):
-            found.append(summarize([tally], plane, precision, rng, given=True))
+            found.append(summarize([tally], given))
     values, low, high, errors = (np.array([f[k] for f in found]) for k in ("value", "low", "high", "standard_error"))
     some = np.isfinite(low)
     n = int(np.count_nonzero(some))

@@ -6,19 +6,23 @@ from dataclasses import fields, replace
 from pathlib import Path
 from types import SimpleNamespace
 
+import astropy.units as u
 from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey._cli._print import PICTURES, print_text
-from rfpsurvey._io import check_fits_text, read_table, suffix_of
+from rfpsurvey._io import check_fits_text, is_fits, read_table
 from rfpsurvey._outputs import WRITABLE, check_output, check_separate
+from rfpsurvey._readers import is_csv
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, select_rows, to_time
 from rfpsurvey.constraints import Rule, as_constraints
 from rfpsurvey.errors import check_choice, used_elsewhere, warn_no_effect
 from rfpsurvey.instrument import as_instrument, describe_states
+from rfpsurvey.observing import SITES, location
 from rfpsurvey.plans import is_plan, native_format, read_plan
 from rfpsurvey.survey import JOINT, VisitRule
+from rfpsurvey.tiling import times_of_tiles
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
 
@@ -47,6 +51,44 @@ def model_of(keys, known_time: Callable[[], Time | None] | None = None) -> "rs.I
     return with_margins(model if keys.arm_model is None else model.with_arm_model(keys.arm_model), keys.margins)
 
 
+def conditions_of(given: dict) -> "rs.ObservingConditions | None":
+    """Return the observing conditions for their keys, which replace the values of a file; None if there are no keys."""
+    given = dict(given)
+    if isinstance(site := given.get("site"), list) or "," in str(site):
+        given["site"] = location(site if isinstance(site, list) else site.split(","))
+    path = given.pop("path", None)
+    if path is not None:
+        return rs.ObservingConditions.read(path, **given)
+    if given and "site" not in given:
+        raise rs.InputError(
+            f"conditions.site must be given to compute refraction: [LONGITUDE, LATITUDE, HEIGHT] or {', '.join(SITES)}"
+        )
+    return rs.ObservingConditions(**given) if given else None
+
+
+def tiles_under(tiling: "rs.Tiling", given: dict) -> "rs.Tiling":
+    """Add the observing conditions for their keys, if any are given, to a tiling; return the tiling."""
+    if given and not {"time", "hour_angle"} & set(given) and rs.tiling.when_of(tiling.table) is not None:
+        given = {**given, "hour_angle": 0 * u.hourangle}  # the time or hour angle in the table of tiles replaces it
+    conditions = conditions_of(given)
+    return tiling if conditions is None else tiling.with_conditions(conditions)
+
+
+def time_of(conditions: "rs.ObservingConditions | None", epoch: object) -> Time | None:
+    """Return the time of the observing conditions or, without such a time, the epoch; None if no time is known."""
+    if conditions is not None and conditions.time is not None:
+        return conditions.time
+    return None if epoch is None else to_time(epoch, "epoch")
+
+
+def time_of_tiles(tiling: "rs.Tiling | None", epoch: object, given: dict) -> Time | None:
+    """Return the times of all tiles or, without times, the time of the epoch; None if no time is known."""
+    if tiling is None:
+        return time_of(conditions_of(given), epoch)
+    times = times_of_tiles(tiles_under(tiling, given))
+    return time_of(None, epoch) if times is None else times
+
+
 def check_names(keys) -> None:
     """Raise an error if the instrument, the arm model or an allocator of a plan file is unknown, or an option is wrong.
 
@@ -60,7 +102,8 @@ def check_names(keys) -> None:
         allocator_of(keys.options, keys.joint)
         VisitRule(**{name: value for name, value in keys.rule.items() if name != "table"})
     else:
-        rs.AllocationOptions(**(keys.options if isinstance(keys.options, dict) else vars(keys.options)))
+        options = getattr(keys, "options", {})
+        rs.AllocationOptions(**(options if isinstance(options, dict) else vars(options)))
     for name in getattr(keys, "allocators", None) or ():
         rs.AllocationOptions(name)
 
@@ -95,8 +138,8 @@ def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"
     provenance = table.meta.get("provenance")
     own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
     if own is None and is_plan(table):
-        return read(name or table.meta["instrument"])
-    if name is None and own is None:
+        name = name or table.meta.get("instrument")
+    if not name and own is None:
         known = ", ".join(rs.available_instruments())
         raise rs.InputError(f"--instrument must name the instrument of the assignment: {known}, or a TOML file")
     instrument = read(name or own)
@@ -168,7 +211,7 @@ def read_assignment(keys):
 
 def units_of(path: Path, units: dict[str, str] | None) -> dict[str, str]:
     """Return the given units; for CSV files, add the default units of all other columns."""
-    usual = {role: str(u) for role, u in UNITS.items()} if suffix_of(path) in (".csv", ".tsv") else {}
+    usual = {role: str(u) for role, u in UNITS.items()} if is_csv(path) else {}
     return {**usual, **(units or {})}
 
 
@@ -206,7 +249,7 @@ def check_targets(output, catalog: "rs.Catalog | None" = None) -> None:
 
 def check_text(catalog: "rs.Catalog", instrument: "rs.Instrument", center, output: Path | None) -> None:
     """Raise an error if the output is a FITS file and the targets of the field have text that FITS cannot store."""
-    if output is None or suffix_of(output) != ".fits" or len(catalog) == 0:
+    if output is None or not is_fits(output) or len(catalog) == 0:
         return
     center = catalog.mean_direction if center is None else center
     targets = catalog.within(center, instrument.field_radius)

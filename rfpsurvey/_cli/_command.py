@@ -7,16 +7,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from typer.core import TyperCommand
 
 from rfpsurvey import __version__
 from rfpsurvey._cli import _app, _main, _plan_file
-from rfpsurvey._cli._keys import Key, add, build, keys_of
+from rfpsurvey._cli._keys import Key, Part, add, build, keys_of
 from rfpsurvey._io import write_bytes
 from rfpsurvey._outputs import check_output
+from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError
-
-__all__ = ["Given", "command", "pairs"]
 
 SPELLINGS = {
     "instrument.name": "--instrument",
@@ -56,18 +54,40 @@ class Given:
         return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
 
 
-class Command(TyperCommand):
+class Command(_main.Command):
     """A command; its message for an unknown option states how ``--set`` sets a key of this name."""
 
     def parse_args(self, ctx, args: list[str]) -> list[str]:
         """Parse the words of the command line."""
+        words = [part for word in args for part in (word.split("=", 1) if word.startswith("--") else [word])]
         try:
             return super().parse_args(ctx, args)
         except Exception as error:
-            name = str(getattr(error, "option_name", "")).lstrip("-").replace("-", "_")
-            if found := [key for key in self.callback.keys if key.rpartition(".")[2] == name]:
-                error.possibilities = [f"--set {found[0]}=VALUE"]
+            option, keys = str(getattr(error, "option_name", "")), self.callback.keys
+            named = [key for key in keys if f"--{key.rpartition('.')[2].replace('_', '-')}" == option]
+            if named:
+                value = words[words.index(option) + 1 :][:1] if option in words else []
+                error.possibilities = [f"--set {key}=VALUE" for key in _possible_keys(keys, named, *value)][:1]
             raise
+
+
+def _possible_keys(keys: dict[str, Key | Part], names: list[str], value: str = "") -> list[str]:
+    """Return the names of the keys whose values can be of the kind of the given value."""
+    found = []
+    for name in names:
+        key = keys[name]
+        if isinstance(key, Part):
+            continue
+        is_entry = dict in key.kinds and "=" in value
+        try:
+            if value and not value.startswith("--") and bool not in key.kinds:
+                _plan_file.add_text(keys, {}, f"{name}{'.' if is_entry else '='}{value}", set())
+                if key.texts_only(entry=is_entry) and is_number(value):
+                    continue
+        except InputError:
+            continue
+        found.append(f"{name}.NAME" if is_entry else name)
+    return found
 
 
 def command(
@@ -76,7 +96,6 @@ def command(
     *,
     argument: str | None = None,
     app=None,
-    name: str | None = None,
     epilog: str | None = None,
 ) -> Callable:
     """Return a decorator that makes a command of a function of an object of the dataclass ``cls``.
@@ -90,7 +109,7 @@ def command(
     with_file = argument == "catalog.path"
 
     def decorate(function: Callable) -> Callable:
-        title = name or function.__name__.replace("_", "-")
+        title = function.__name__.replace("_", "-")
 
         def call(**typed):
             given = Given(title, keys, {})

@@ -4,8 +4,6 @@ import sys
 
 from numba.core import event
 
-__all__ = ["announce_compilation"]
-
 
 class _Announcement(event.Listener):
     """Event handler that prints one line when numba compiles the first function that is not in the cache of numba."""

@@ -11,6 +11,7 @@ import rfpsurvey as rs
 from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._methods import help_of
 from rfpsurvey._readers import parse_number
+from rfpsurvey._settings import Option, option
 from rfpsurvey.allocation import METHODS
 from rfpsurvey.errors import InputError, listed
 
@@ -108,7 +109,7 @@ class SurveyCatalogKeys(CatalogKeys):
         has no column of visits.
     """
 
-    visits: Annotated[int | None, 1] = None
+    visits: int | None = option(None, low=1)
 
 
 @dataclass(frozen=True)
@@ -244,12 +245,8 @@ Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
 SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyAllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Rule = Annotated[dict, Part(rs.survey.VisitRule)]
-CadenceTable = Annotated[
-    Path | None,
-    "Table of cadences; the catalog must have the column cadence, and the tiles the column time, date or mjd.",
-]
 Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
-Seed = Annotated[int, "Seed of the random numbers.", 0]
+Seed = Annotated[int, "Seed of the random numbers.", Option(low=0)]
 Epoch = Annotated[
     str | float | Time | None,
     "Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the time of the "
@@ -266,16 +263,8 @@ Equinox = Annotated[
     str | float | Time | None,
     "Equinox of the north direction from which the position angle is measured, such as J2026.0.",
 ]
-Projection = Annotated[
-    str | None,
-    "Model of the projection onto the focal plane: tangent, radial, refraction, dispersion, full, or auto, which "
-    "selects the fastest model that is accurate enough. The default is full if observing conditions are given, and "
-    "radial otherwise.",
-]
-Workers = Annotated[int, "Number of parallel workers. The result does not depend on this number.", 1]
+Workers = Annotated[int, "Number of parallel workers. The result does not depend on this number.", Option(low=1)]
 Processes = Annotated[bool, "Whether the workers are processes instead of threads."]
-Report = Annotated[Path | None, "Write a report of the result as a self-contained page (.html)."]
-Overwrite = Annotated[bool, "Replace existing files."]
 Lost = Annotated[
     bool, "Whether a target counts as not observed if the arm at this target collides, so that other tiles observe it."
 ]
@@ -307,13 +296,17 @@ class OutputKeys:
 
     Parameters
     ----------
+    report : Path, optional
+        Write a report of the result as a self-contained page (.html).
     plot : Path, optional
         Plot the result (.png, .pdf or .svg).
+    overwrite : bool, optional
+        Replace existing files.
     """
 
-    report: Report = None
+    report: Path | None = None
     plot: Path | None = None
-    overwrite: Overwrite = False
+    overwrite: bool = False
 
 
 @dataclass(frozen=True)

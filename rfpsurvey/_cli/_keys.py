@@ -1,30 +1,27 @@
 """Keys of commands: fields of dataclasses, which a plan file, the option --set, or another option sets.
 
 The name of a key is the name of its table, a dot, and the name of the field, such as ``joint.time_limit``. Its help is
-the documentation of the parameter in the docstring of the class. Annotations of the field state its unit and its lowest
-value. The value of a key is kept as in TOML, with paths relative to the current folder, until `build` converts it.
+the documentation of the parameter in the docstring of the class. The field states its unit, its limits and its choices.
+The value of a key is kept as in TOML, with paths relative to the current folder, until `build` converts it.
 """
 
 import os
 import re
 from collections.abc import Callable
-from dataclasses import dataclass, fields, is_dataclass
+from dataclasses import dataclass, is_dataclass
 from datetime import date, datetime
 from functools import cache, cached_property
-from inspect import cleandoc
 from pathlib import Path
-from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin, get_type_hints
+from typing import Any
 
 import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._readers import has_other_digits
-from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_whole, close_to, short
+from rfpsurvey._settings import OptionField, extra_of, help_texts, members_of, options_of
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, close_to, listed, short
 from rfpsurvey.region import Region
-
-__all__ = ["Key", "Located", "Part", "add", "build", "keys_of"]
 
 # Types in annotations, in the order in which messages name them, with the types of their values in TOML.
 KINDS: dict[Any, tuple] = {
@@ -61,43 +58,47 @@ class Part:
 
 @dataclass(frozen=True)
 class Key:
-    """A key, with the type, the annotations, the default value and the help of its field."""
+    """A key, with the description of its field and its help."""
 
     name: str
-    hint: object
-    extra: tuple
-    default: object
+    field: OptionField
     text: str
 
     @cached_property
     def kinds(self) -> dict:
         """The types of the key that values in TOML can have, with the arguments of types such as ``list[int]``."""
-        found = {get_origin(one) or one: get_args(one) for one in _members(self.hint)}
-        found = {list if kind in (tuple, np.ndarray) else kind: arguments for kind, arguments in found.items()}
+        found = {list if kind in (tuple, np.ndarray) else kind: inside for kind, inside in self.field.kinds.items()}
         return {kind: found[kind] for kind in KINDS if kind in found}
 
     def inside(self, kind: type) -> tuple:
         """Return the types of the values inside a list or a table, which are the value of this key."""
-        return tuple(one for hint in self.kinds.get(kind, ())[-1:] for one in _members(hint) if one in KINDS)
+        return tuple(one for hint in self.kinds.get(kind, ())[-1:] for one in members_of(hint) if one in KINDS)
 
     def texts_only(self, *, entry: bool) -> bool:
         """Return whether a single value, or the value of an ``entry`` of a table, must be text."""
         kinds = self.inside(dict) if entry else (*self.kinds, *self.inside(list))
         return {one for one in kinds if one not in (list, dict)} <= {str, Path, os.PathLike, Region}
 
-    @cached_property
+    @property
     def unit(self) -> u.UnitBase | None:
         """The unit of numbers without a unit; None if the value is no quantity."""
-        return next((one for one in (*self.extra, *_extra(self.hint)) if isinstance(one, u.UnitBase)), None)
+        return next(iter(self.field.units), None)
+
+    @property
+    def is_located(self) -> bool:
+        """Whether text is the path of a file if this file exists, and otherwise the name of an object."""
+        return Located in extra_of(self.field.hint)
 
     @property
     def is_path(self) -> bool:
         """Whether text can be the path of a file."""
-        return not {Path, os.PathLike, *self.extra}.isdisjoint({*self.kinds, Located})
+        return self.is_located or not {Path, os.PathLike}.isdisjoint(self.kinds)
 
     @property
     def words(self) -> str:
         """Text that states which values are valid."""
+        if self.field.option.choices:
+            return f"one of {listed(self.field.option.choices)}"
         words = [KINDS[kind][0] for kind in self.kinds if kind not in (u.Quantity, list)]
         if self.unit is not None:
             words.insert(0, f"a number ({self.unit}) or text with a unit")
@@ -108,21 +109,6 @@ class Key:
         return " or ".join(dict.fromkeys(words))
 
 
-def _members(hint: object) -> list:
-    """Return the members of a union of types, without annotations."""
-    if get_origin(hint) is Annotated:
-        return _members(get_args(hint)[0])
-    if get_origin(hint) in (Union, UnionType):
-        return [kind for one in get_args(hint) for kind in _members(one)]
-    return [hint]
-
-
-def _extra(hint: object) -> list:
-    """Return the annotations of the members of a union of types."""
-    members = get_args(hint) if get_origin(hint) in (Union, UnionType) else [hint]
-    return [one for member in members if get_origin(member) is Annotated for one in get_args(member)[1:]]
-
-
 @cache
 def keys_of(cls: type, prefix: str = "", omit: tuple[str, ...] = (), *, brief: bool = False) -> dict[str, Key | Part]:
     """Return the keys of a dataclass by name, and the parts by the names of their tables.
@@ -130,33 +116,20 @@ def keys_of(cls: type, prefix: str = "", omit: tuple[str, ...] = (), *, brief: b
     If ``brief``, the help of a key contains only the first sentence of the documentation of its parameter.
     """
     found: dict[str, Key | Part] = {}
-    hints, texts = get_type_hints(cls, include_extras=True), _parameter_texts(cls)
-    for one in fields(cls):
-        hint, extra, name = hints[one.name], (), prefix + one.name
-        if get_origin(hint) is Annotated:
-            hint, *extra = get_args(hint)
+    texts = help_texts(cls)
+    for one in options_of(cls):
+        name, extra = prefix + one.name, extra_of(one.hint)
         part = next((x for x in extra if isinstance(x, Part)), None)
         if part is not None:
             more = {} if part.more is None else keys_of(part.more, f"{name}.")
             found |= {name: part} | keys_of(part.cls, f"{name}.", part.omit, brief=True) | more
-        elif is_dataclass(hint):
-            found |= keys_of(hint, f"{name}.")
+        elif is_dataclass(one.hint):
+            found |= keys_of(one.hint, f"{name}.")
         elif one.name not in omit:
             text = texts.get(one.name) or next((x for x in extra if isinstance(x, str)), "")
             text = re.split(r"(?<=\.)\s+(?=[A-Z`])", text)[0] if brief else text
-            key = Key(name, hint, tuple(extra), one.default, text)
+            key = Key(name, one, text)
             found |= {name: key} if key.kinds else {}
-    return found
-
-
-def _parameter_texts(cls: type) -> dict[str, str]:
-    """Return the documentation of each parameter in the docstrings of a class and its bases, as plain text."""
-    found = {}
-    for one in reversed(cls.__mro__):
-        section = cleandoc(one.__doc__ or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
-        for names, text in re.findall(r"^(\w[\w, ]*) : .*\n((?:    .*(?:\n|$))+)", section, re.MULTILINE):
-            plain = re.sub(r"`+~?([^`]*)`+", r"\1", " ".join(text.split()))
-            found |= dict.fromkeys(names.split(", "), plain)
     return found
 
 
@@ -210,7 +183,7 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
         if isinstance(one, str) and not one.strip():
             raise InputError(f"{key.name} must be {key.words}, got {one!r}; leave it out to use the default value")
     if key.is_path and isinstance(value, str) and base is not None:
-        value = located(value, base, always=Located not in key.extra)
+        value = located(value, base, always=not key.is_located)
     entries = values.get(key.name)
     values[key.name] = {**entries, **value} if isinstance(entries, dict) and isinstance(value, dict) else value
 
@@ -235,14 +208,14 @@ def located(text: str, base: Path, *, always: bool) -> str:
 def build(cls: type, values: dict, prefix: str = "") -> Any:
     """Return an object of a dataclass of keys with the given values; all other fields have their default values."""
     given, keys = {}, keys_of(cls, prefix)
-    for one in fields(cls):
-        name, hint = prefix + one.name, get_type_hints(cls).get(one.name)
+    for one in options_of(cls):
+        name = prefix + one.name
         key = keys.get(name)
         if isinstance(key, Part):
             inside = {k: v for k, v in keys.items() if k.startswith(f"{name}.") and k in values}
             given[one.name] = {k.removeprefix(f"{name}."): _convert(v, values[k]) for k, v in inside.items()}
-        elif is_dataclass(hint):
-            given[one.name] = build(hint, values, f"{name}.")
+        elif is_dataclass(one.hint):
+            given[one.name] = build(one.hint, values, f"{name}.")
         elif name in values:
             given[one.name] = _convert(key, values[name])
     return cls(**given)
@@ -250,14 +223,13 @@ def build(cls: type, values: dict, prefix: str = "") -> Any:
 
 def _convert(key: Key, value: object) -> object:
     """Convert a value from TOML to the type of the field."""
-    low = next((one for one in key.extra if isinstance(one, int)), None)
-    if low is not None and int in key.kinds:
-        check_whole(value, key.name.rpartition(".")[2], low)
+    if key.field.option.low is not None and [*key.kinds] == [int]:
+        key.field.valid(value)
     if key.unit is not None:
         return _to_quantity(key, value)
     if isinstance(value, str) and Path in key.kinds:
         return Path(value)
-    if Region in key.kinds or any(Region in _members(one) for one in key.kinds.get(list, ())):
+    if Region in key.kinds or Region in key.inside(list):
         return [Region.parse(one) for one in value] if isinstance(value, list) else Region.parse(value)
     return value
 

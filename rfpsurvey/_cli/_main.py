@@ -11,14 +11,13 @@ from contextlib import suppress
 from functools import cache
 from importlib import import_module
 from itertools import pairwise
+from textwrap import indent
 from typing import Annotated
 
 import typer
-from typer.core import TyperGroup
+from typer.core import TyperCommand, TyperGroup
 
 import rfpsurvey as rs
-
-__all__ = ["COMMANDS", "app", "commands", "run"]
 
 # The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
@@ -47,6 +46,16 @@ COMMANDS = {
 """Summary of each command, stored here so that the list of commands is printed without importing the commands."""
 INNER = {"standard_error": "precision"}
 """Names in messages of the library that are not the names of options, and the names of these options."""
+
+
+class Command(TyperCommand):
+    """A command whose help ends with the examples in the docstring of its function."""
+
+    def __init__(self, *args, help: str | None, **options):  # noqa: A002
+        # the option -OO of Python removes docstrings
+        text, _, examples = (help or "").partition("\n\nExamples\n--------\n")
+        options["epilog"] = f"\b\nExamples:\n{indent(examples, '  ')}" if examples else options["epilog"]
+        super().__init__(*args, help=text, **options)
 
 
 class Commands(TyperGroup):

@@ -12,11 +12,9 @@ from textwrap import wrap
 
 import astropy.units as u
 
-from rfpsurvey._cli._keys import Key, Located, Part, add, find, located
+from rfpsurvey._cli._keys import Key, Part, add, find, located
 from rfpsurvey._readers import read_toml
 from rfpsurvey.errors import InputError, warn
-
-__all__ = ["RECORD", "add_file", "add_text", "complete", "default_text", "is_plan_file", "survey_folder", "to_toml"]
 
 RECORD = "plan.toml"
 """Name of the plan file in the folder of a survey."""
@@ -113,16 +111,17 @@ def to_toml(keys: dict, values: dict, folder: Path, *, title: str, documented: b
 
 
 def _help(key: Key) -> str:
-    """Return the help of a key, with the type of its values."""
-    return f"{key.text.rstrip('.')}. Value: {key.words}."
+    """Return the help of a key, with the type and the limits of its values."""
+    limits = key.field.option.limits()
+    return f"{key.text.rstrip('.')}. Value: {key.words}{',' if limits and key.unit else ''}{limits}."
 
 
 def _moved(key: Key, value: object, folder: Path) -> object:
     """Return the value of a key, with a path relative to the folder of the plan file."""
     if not key.is_path or not isinstance(value, str) or Path(value).is_absolute():
         return value
-    is_name = located(value, Path(), always=Located not in key.extra) == value and not Path(value).exists()
-    if value.startswith("example:") or (Located in key.extra and is_name):
+    is_name = located(value, Path(), always=not key.is_located) == value and not Path(value).exists()
+    if value.startswith("example:") or (key.is_located and is_name):
         return value
     return Path(os.path.relpath(value, folder)).as_posix()
 
@@ -147,7 +146,7 @@ def default_text(key: Key) -> str:
 
 def _default(key: Key) -> object:
     """Return the default value of a key, in the form in which TOML contains it, or None if there is none."""
-    value = key.default
+    value = key.field.default
     if isinstance(value, u.Quantity):
         value = float(value.to_value(key.unit or value.unit))
     return None if value is MISSING or callable(value) or value == () else value

@@ -1,6 +1,6 @@
 """Functions that print the results of commands and write files with the results."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from functools import partial
 from textwrap import fill
@@ -9,32 +9,16 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._io import suffix_of, write_table, writing_to
+from rfpsurvey._io import is_fits, write_table, writing_to
+from rfpsurvey._readers import suffix_of
 from rfpsurvey.errors import brief
-from rfpsurvey.report import (
-    estimate_facts,
-    rules_of_tile,
-    tile_facts,
-    tile_objectives,
-    tile_problems,
-    tiling_facts,
-)
-
-__all__ = [
-    "PICTURES",
-    "files",
-    "finish",
-    "finish_comparison",
-    "finish_estimate",
-    "finish_table",
-    "finish_tiling",
-    "print_table",
-    "print_text",
-]
+from rfpsurvey.report import estimate_facts, model_facts, tiling_facts
+from rfpsurvey.tile import rules_of_tile, tile_facts, tile_objectives, tile_problems
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
 WIDTH = 100  # largest number of characters in a line of text
+LONG = 44  # number of characters of the labels of a tiling
 MAP = (
     "The color gives the collision probability of each positioner. The probabilities of single positioners "
     "scatter, since the number of random trials is finite. The expected probability is the same everywhere "
@@ -48,6 +32,22 @@ def print_text(text: str, indent: str = "  ") -> None:
     print(fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
 
 
+def print_facts(facts: Mapping[str, object], width: int = 12, wide: int = 34) -> None:
+    """Print labels and values, one pair per line, in columns with the given numbers of characters."""
+    for label, value in facts.items():
+        text = f"{value:.4f}" if isinstance(value, float) else str(value)
+        print(f"{label:<{wide}}{text:>{width}}")
+
+
+def print_model(name: str, allocator: str, summary: Mapping, parameters: Mapping) -> None:
+    """Print the first lines of the summary of a survey: the instrument, the allocator, the model and the epoch."""
+    print(f"{name}, allocator {allocator}")
+    if "model" in summary:  # the value is missing in surveys that earlier versions wrote
+        print_text(f"model: {summary['model']}")
+    if summary.get("epoch") and parameters.get("epoch") is None:
+        print_text(f"epoch: {summary['epoch']}")
+
+
 @contextmanager
 def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterator[None]:
     """Write the output files before the summary is printed, and print their names after the summary.
@@ -58,28 +58,21 @@ def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterat
     ``quality`` return the figures of the files ``plot`` and ``quality``. ``report`` contains the result and the options
     of `write_report`.
     """
-    writers = []
-    if write is not None:
-        writers.append((getattr(output, "path", None), lambda path, own: write(own)))
-    for path, figure in ((output.plot, draw), (getattr(output, "quality", None), quality)):
-        writers.append((path, lambda path, own, figure=figure: _save(figure(), own, path)))
-    writers.append((output.report, lambda path, own: rs.write_report(report[0], own, **report[1])))
-    writers = [(path, call) for path, call in writers if path is not None]
+    calls = {} if write is None else {"path": lambda own, _: write(own)}
+    for name, figure in (("plot", draw), ("quality", quality)):
+        calls[name] = lambda own, path, figure=figure: figure().savefig(own, dpi=200, format=path.suffix[1:].lower())
+    calls["report"] = lambda own, _: rs.write_report(report[0], own, **report[1])
+    writers = [(path, call) for name, call in calls.items() if (path := getattr(output, name, None)) is not None]
     with ExitStack() as stack:  # all files are renamed when all of them are complete
         for path, call in writers:
             own = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
             try:
-                call(path, own)
+                call(own, path)
             except rs.InputError as error:
                 raise type(error)(str(error).replace(str(own), str(path))) from error
     yield
     for path, _ in writers:
         print(f"wrote {path}")
-
-
-def _save(figure, own, path) -> None:
-    """Write a figure to a temporary file, in the format of the final path."""
-    figure.savefig(own, dpi=200, format=path.suffix[1:].lower())
 
 
 def finish(tile: "rs.Tile", output) -> None:
@@ -93,7 +86,7 @@ def finish(tile: "rs.Tile", output) -> None:
         report=(tile, {"data": path}),
     ):
         print_summary(tile)
-        if path is not None and tile.outcomes is not None and suffix_of(path) != ".fits":
+        if path is not None and tile.outcomes is not None and not is_fits(path):
             print(
                 f"{path} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
                 "which can hold two tables"
@@ -108,9 +101,7 @@ def finish_tiling(tiling: "rs.Tiling", shown: dict, output) -> None:
         draw=lambda: rs.plot.draw_tiling(tiling, **shown),
         report=(tiling, {"data": output.path}),
     ):
-        for label, value in tiling_facts(tiling).items():
-            text = f"{value:.4f}" if isinstance(value, float) else str(value)
-            print(f"{label:<44}{text:>10}")
+        print_facts(tiling_facts(tiling), 10, LONG)
 
 
 def finish_comparison(table, plans: dict, output) -> None:
@@ -149,8 +140,7 @@ def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
     with files(output, write=partial(write_table, table), draw=draw, report=(estimate, page)):
         kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
         print_text(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
-        for label, value in estimate_facts(estimate).items():
-            print(f"{label:<34}{value}")
+        print_facts(estimate_facts(estimate), 0)
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
         print_text(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
 
@@ -160,15 +150,9 @@ def finish_table(table, draw, output) -> None:
     name, page = table.meta["instrument"], {"data": output.path}
     if output.report is not None:
         caption = f"Computing time and error of each method, for {name}."
-        page |= {"title": f"Benchmark: {name}", "figures": {caption: _first(draw(table))}}
-    with files(
-        output, write=partial(write_table, table), draw=lambda: _first(draw(table)).figure, report=(table, page)
-    ):
+        page |= {"title": f"Benchmark: {name}", "figures": {caption: draw(table)[0]}}
+    with files(output, write=partial(write_table, table), draw=lambda: draw(table)[0].figure, report=(table, page)):
         print_table(table)
-
-
-def _first(axes):
-    return np.atleast_1d(axes)[0]
 
 
 def print_summary(tile: "rs.Tile") -> None:
@@ -186,15 +170,9 @@ def print_summary(tile: "rs.Tile") -> None:
             print_text(f"epoch: {tile.summary['epoch']}")
     elif "positions" in values:
         print("collisions were found from positions on the focal plane, which do not require a field center")
-    if "model" in tile.summary:
-        print_text(f"model: {tile.summary['model']}")
-    if tile.summary.get("poses_without_target"):
-        print_text(f"poses: {tile.summary['poses_without_target']}")
-    projection = tile.summary.get("projection", {})
-    if "sentence" in projection:
-        print_text(f"projection: {projection['model']}; {projection['sentence']}")
-    for label, value in tile_facts(tile).items():
-        print(f"{label:<34}{value:>10.4f}" if isinstance(value, float) else f"{label:<34}{value:>10}")
+    for label, text in model_facts(tile).items():
+        print_text(f"{label}: {text}")
+    print_facts(tile_facts(tile), 10)
     _print_objectives(tile)
     kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
     if kinds and not values["requirements"]:

@@ -8,8 +8,6 @@ import os
 import signal
 import sys
 
-__all__ = ["main", "set_up_worker", "tell_if_interrupted"]
-
 # Signals that end a command (SIGHUP: the terminal is closed), with words for the message.
 SIGNALS = {"SIGINT": "interrupted", "SIGTERM": "terminated", "SIGHUP": "terminated"}
 # Time in seconds for which a command may end its work after a signal. Then, the process ends at once.

@@ -12,16 +12,13 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _groups
 from rfpsurvey._cli._plan_file import RECORD
-from rfpsurvey._cli._print import files, print_table, print_text
+from rfpsurvey._cli._print import files, print_facts, print_model, print_table, print_text
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
 from rfpsurvey._io import write_bytes
 from rfpsurvey.errors import warn, warn_no_effect
-from rfpsurvey.report import survey_facts
-from rfpsurvey.survey import Cadences, SurveyState, VisitRule
+from rfpsurvey.survey import Cadences, SurveyState, VisitRule, survey_facts
 from rfpsurvey.tiling import warn_of_targets
-
-__all__ = ["check_replan", "read_tiles", "run", "targets_of", "tiles_of", "visits_of", "workers"]
 
 MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
@@ -45,6 +42,12 @@ def targets_of(keys, model: "rs.Instrument"):
             "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
         )
     return _app.read_catalog(catalog)
+
+
+def options_of(keys) -> dict:
+    """Return the parameters that `plan_survey` and `selection_probabilities` have in common, for their keys."""
+    same = {name: getattr(keys, name) for name in ("epoch", "lost_in_collision", "order", "rng")}
+    return same | {"passes": keys.tiles.passes, "folder": keys.output.folder, "resume": keys.output.resume}
 
 
 def check_replan(keys) -> None:
@@ -106,7 +109,7 @@ def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs
 @contextmanager
 def workers(keys):
     """Provide an executor (threads, processes or Dask), or None if all tiles are planned in the main thread."""
-    number, processes, scheduler = keys.workers, keys.processes, getattr(keys, "scheduler", None)
+    number, processes, scheduler = keys.workers, getattr(keys, "processes", False), getattr(keys, "scheduler", None)
     if scheduler is not None:
         try:
             from distributed import Client
@@ -158,14 +161,9 @@ def _set_up_worker() -> None:
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print the summary of a survey, one value per line."""
-    s, name = survey.summary, survey.provenance["instrument"]["name"]
-    print(f"{name}, allocator {survey.provenance['parameters']['allocator']}")
-    if "model" in s:  # the value is missing in surveys that earlier versions wrote
-        print_text(f"model: {s['model']}")
-    if s.get("epoch") and survey.provenance["parameters"].get("epoch") is None:
-        print_text(f"epoch: {s['epoch']}")
-    for label, value in survey_facts(survey).items():
-        print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    s, parameters = survey.summary, survey.provenance["parameters"]
+    print_model(survey.provenance["instrument"]["name"], parameters["allocator"], s, parameters)
+    print_facts(survey_facts(survey))
     if survey.joint is not None:
         last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
         print_text(

@@ -8,7 +8,7 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _groups, _main, _print
+from rfpsurvey._cli import _app, _groups, _main, _print
 from rfpsurvey._cli._command import command
 
 benchmark = typer.Typer(
@@ -19,6 +19,14 @@ benchmark = typer.Typer(
 _main.app.add_typer(benchmark, name="benchmark")
 PLOT = "Plot (.png, .pdf or .svg); the table is written to the same folder."
 OPTIONS = "instrument.name instrument.arm_model instrument.state_time repeats"
+EXAMPLES = """\b
+Examples:
+  rfpsurvey benchmark collisions
+  rfpsurvey benchmark collisions --instrument sdss_apo --method exact \\
+      --method sampled --plot sdss.pdf
+  rfpsurvey benchmark batches --instrument moons
+  rfpsurvey benchmark probability --instrument moons --plot moons.png
+"""
 OUTPUT = " rng output.plot output.report output.overwrite"
 
 
@@ -85,7 +93,7 @@ class ProbabilityKeys:
     output: ProbabilityOutputKeys
 
 
-@command(CollisionsKeys, f"{OPTIONS} methods{OUTPUT}", app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+@command(CollisionsKeys, f"{OPTIONS} methods{OUTPUT}", app=benchmark, epilog=EXAMPLES)
 def collisions(keys: CollisionsKeys) -> None:
     """Compare the speed and the errors of the methods of finding collisions."""
     output = _app.check_chart(keys.output)
@@ -94,13 +102,13 @@ def collisions(keys: CollisionsKeys) -> None:
     _print.finish_table(table, rs.plot.plot_speed_accuracy, output)
 
 
-@command(BatchesKeys, OPTIONS, app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+@command(BatchesKeys, OPTIONS, app=benchmark, epilog=EXAMPLES)
 def batches(keys: BatchesKeys) -> None:
     """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
     _print.print_table(rs.benchmark.benchmark_batches(_app.model_of(keys.instrument), repeats=keys.repeats))
 
 
-@command(ProbabilityKeys, OPTIONS + OUTPUT, app=benchmark, epilog=_examples.BENCHMARK_EXAMPLES)
+@command(ProbabilityKeys, OPTIONS + OUTPUT, app=benchmark, epilog=EXAMPLES)
 def probability(keys: ProbabilityKeys) -> None:
     """Compare the time and the error of the methods that estimate collision probabilities.
 

@@ -1,7 +1,6 @@
 """The command ``rfpsurvey compare``."""
 
 import sys
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Annotated
@@ -9,10 +8,9 @@ from typing import Annotated
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print
+from rfpsurvey._cli import _app, _groups, _print, _surveys
 from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located
-from rfpsurvey._executors import released
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import COMPARED, parts_of
 from rfpsurvey.errors import listed
@@ -57,10 +55,20 @@ class CompareKeys:
     "catalog.path center position_angle epoch targets_per_positioner density n_realizations allocators "
     "options.constraints rng workers catalog.columns output.path output.plot output.report output.overwrite",
     argument="instruments",
-    epilog=_examples.COMPARE_EXAMPLES,
 )
 def compare(keys: CompareKeys) -> None:
-    """Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions."""
+    r"""Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions.
+
+    Examples
+    --------
+    rfpsurvey compare
+    rfpsurvey compare lamost design.toml --targets-per-positioner 2 \
+        --plot comparison.png --output comparison.ecsv
+    rfpsurvey compare sdss_apo moons --catalog stars.fits \
+        --center "06h20m00s +23d00m00s" --allocator optimal
+    rfpsurvey compare lamost desi pfs --density 1000 --n-realizations 2 \
+        --report comparison.html
+    """
     names, state = keys.instruments or [], keys.instrument
     _app.check_outputs(keys.output, (*names, keys.catalog.path, state.broken))
     if state.broken is not None and len(names) != 1:
@@ -71,10 +79,10 @@ def compare(keys: CompareKeys) -> None:
     if state.arm_model or state.margins:
         names = names or rs.available_instruments()
     named = [_groups.InstrumentKeys(**vars(state), name=name) for name in names]
-    models = [_app.model_of(one, lambda: _conditions.time_of(None, keys.epoch)) for one in named]
+    models = [_app.model_of(one, lambda: _app.time_of(None, keys.epoch)) for one in named]
     if keys.catalog.path is None:
         _app.warn_without_catalog(keys.catalog)
-    with released(ThreadPoolExecutor(keys.workers)) as pool:
+    with _surveys.workers(keys) as executor:
         table = rs.compare_instruments(
             "poisson" if keys.catalog.path is None else _app.read_catalog(keys.catalog),
             models or None,
@@ -84,7 +92,7 @@ def compare(keys: CompareKeys) -> None:
             density=None if keys.density is None else keys.density / u.deg**2,
             n_realizations=keys.n_realizations,
             rng=keys.rng,
-            executor=pool if keys.workers > 1 else None,
+            executor=executor,
             progress=sys.stderr.isatty(),
             options=rs.AllocationOptions(**keys.options),
             position_angle=keys.position_angle,

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print
+from rfpsurvey._cli import _app, _groups, _print
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey.tile import north_of_date
 
@@ -37,12 +37,20 @@ class CompareAllocatorsKeys:
     "instrument.name center position_angle epoch allocators options.constraints rng catalog.columns output.path "
     "output.plot output.report output.overwrite",
     argument="catalog.path",
-    epilog=_examples.COMPARE_ALLOCATORS_EXAMPLES,
 )
 def compare_allocators(keys: CompareAllocatorsKeys, _: Given) -> None:
-    """Compare allocators on the same field."""
+    r"""Compare allocators on the same field.
+
+    Examples
+    --------
+    rfpsurvey compare-allocators
+    rfpsurvey compare-allocators stars.fits --instrument moons \
+        --plot allocators.png --report allocators.html
+    rfpsurvey compare-allocators stars.fits --constraint sky=20 \
+        --allocator network_flow --allocator optimal
+    """
     _app.check_outputs(keys.output, (keys.catalog.path, keys.instrument.name, keys.instrument.broken))
-    model = _app.model_of(keys.instrument, lambda: _conditions.time_of(None, keys.epoch))
+    model = _app.model_of(keys.instrument, lambda: _app.time_of(None, keys.epoch))
     targets, field = _app.targets_and_center(keys.catalog, keys.center, model, keys.rng)
     with _app.seed_of(keys.catalog.path):
         table, plans = rs.compare_allocators(

@@ -5,12 +5,12 @@ from typing import Annotated
 
 import typer
 
-from rfpsurvey._cli import _examples, _main
+from rfpsurvey._cli import _main
 from rfpsurvey._outputs import check_parent, check_separate
 from rfpsurvey.plans import read_plan, write_plan
 
 
-@_main.app.command(epilog=_examples.CONVERT_EXAMPLES)
+@_main.app.command(cls=_main.Command)
 def convert(
     source: Annotated[
         Path, typer.Argument(help="File to convert: a plan of another program, or a tile (.fits or .ecsv).")
@@ -25,10 +25,19 @@ def convert(
     ] = None,
     overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
 ) -> None:
-    """Convert a plan to the format of another program."""
+    """Convert a plan to the format of another program.
+
+    Examples
+    --------
+    rfpsurvey convert confSummary-26.par plan.ecsv
+    rfpsurvey convert tile.fits confSummary-26.par.gz
+    rfpsurvey plan targets.fits --instrument fp-metrology.csv --output tile.fits
+    rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign
+    """
     check_separate([target], [source])
     check_parent(target)
     plan = read_plan(source)
     write_plan(plan, target, format=format, overwrite=overwrite)
     n_assigned, n = int(plan["assigned"].sum()), len(plan)
-    print(f"{target}: {n_assigned} of {n} fibers of {plan.meta['instrument']} have a target")
+    instrument = f" of {plan.meta['instrument']}" if plan.meta.get("instrument") else ""
+    print(f"{target}: {n_assigned} of {n} fibers{instrument} have a target")

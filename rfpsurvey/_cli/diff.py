@@ -7,7 +7,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from rfpsurvey._cli import _examples, _main, _print
+from rfpsurvey._cli import _main, _print
 from rfpsurvey._io import write_table
 from rfpsurvey._outputs import WRITABLE, check_output
 from rfpsurvey.errors import number_of
@@ -16,7 +16,7 @@ from rfpsurvey.survey import diff_surveys
 MOST_TILES = 40
 
 
-@_main.app.command(epilog=_examples.DIFF_EXAMPLES)
+@_main.app.command(cls=_main.Command)
 def diff(
     first: Annotated[Path, typer.Argument(help="Folder of a survey, such as a copy of its first plan.")],
     second: Annotated[Path, typer.Argument(help="Folder of another plan of the survey.")],
@@ -25,7 +25,13 @@ def diff(
     ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
-    """List the tiles and fibers that differ between two plans of a survey, and the reasons."""
+    """List the tiles and fibers that differ between two plans of a survey, and the reasons.
+
+    Examples
+    --------
+    rfpsurvey diff before plan
+    rfpsurvey diff before plan --output changes.ecsv
+    """
     if output is not None:
         check_output(output, WRITABLE, overwrite=overwrite)
     table = diff_surveys(first, second)
@@ -39,8 +45,8 @@ def diff(
             _print.print_text(f"events that were recorded in {folder} after its last plan are not compared")
     is_tile = np.asarray(table["positioner"]) == ""
     for what, rows in (("tiles", is_tile), ("fibers", ~is_tile)):
-        for reason, n in Counter(np.asarray(table["reason"])[rows].tolist()).most_common():
-            print(f"{f'{what}: {reason}':<34}{n:>12}")
+        counts = Counter(np.asarray(table["reason"])[rows].tolist()).most_common()
+        _print.print_facts({f"{what}: {reason}": n for reason, n in counts})
     numbers = Counter(np.asarray(table["tile"])[~is_tile].tolist())
     words = {tile: [] for tile in dict.fromkeys(np.asarray(table["tile"]).tolist())}
     for tile, reason in zip(table["tile"][is_tile].tolist(), table["reason"][is_tile].tolist(), strict=True):

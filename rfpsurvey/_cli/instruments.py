@@ -10,13 +10,6 @@ from rfpsurvey._cli._print import print_text
 from rfpsurvey.errors import InputError
 from rfpsurvey.instrument import Instrument, arm_classes, every_instrument, fact_texts
 
-EXAMPLES = """\b
-Examples:
-  rfpsurvey instruments
-  rfpsurvey instruments lamost
-  rfpsurvey instruments lamost sdss_apo mine.toml
-"""
-
 
 @dataclass(frozen=True, kw_only=True)
 class InstrumentsKeys:
@@ -37,10 +30,16 @@ class InstrumentsKeys:
     InstrumentsKeys,
     "instrument.arm_model instrument.broken instrument.state_time",
     argument="instruments",
-    epilog=EXAMPLES,
 )
 def instruments(keys: InstrumentsKeys) -> None:
-    """List all instruments, describe one instrument with the source of every value, or compare several instruments."""
+    """List all instruments, describe one instrument with the source of every value, or compare several instruments.
+
+    Examples
+    --------
+    rfpsurvey instruments
+    rfpsurvey instruments lamost
+    rfpsurvey instruments lamost sdss_apo mine.toml
+    """
     names = keys.instruments or []
     if keys.instrument.broken is not None and len(names) != 1:
         raise InputError("--broken must be used with the name or path of one instrument")

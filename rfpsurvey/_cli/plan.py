@@ -8,7 +8,7 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print
+from rfpsurvey._cli import _app, _groups, _print
 from rfpsurvey._cli._command import command
 from rfpsurvey.allocation import end_on_interrupt
 from rfpsurvey.tile import north_of_date
@@ -28,14 +28,21 @@ class PlanOutputKeys(_groups.TableOutputKeys):
         Include all targets of the field in the plot, colored by outcome, kind, category or priority.
     """
 
-    path: Path | None = None
     quality: Path | None = None
     targets: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanKeys:
-    """The keys of the command."""
+    """The keys of the command.
+
+    Parameters
+    ----------
+    projection : str, optional
+        Model of the projection onto the focal plane: tangent, radial, refraction, dispersion, full, or auto, which
+        selects the fastest model that is accurate enough. The default is full if observing conditions are given, and
+        radial otherwise.
+    """
 
     catalog: _groups.CatalogKeys
     instrument: _groups.InstrumentKeys
@@ -46,7 +53,7 @@ class PlanKeys:
     position_angle: _groups.PositionAngle = 0 * u.deg
     equinox: _groups.Equinox = None
     epoch: _groups.Epoch = None
-    projection: _groups.Projection = None
+    projection: str | None = None
     rng: _groups.Seed = 0
 
 
@@ -55,15 +62,33 @@ class PlanKeys:
     "instrument.name center position_angle epoch options.allocator options.constraints options.rules rng "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
-    epilog=_examples.PLAN_EXAMPLES,
 )
 def plan(keys: PlanKeys, given) -> None:
-    """Assign the targets of a field to fibers, and find the arms that collide."""
-    conditions = _conditions.conditions_of(keys.conditions)
+    r"""Assign the targets of a field to fibers, and find the arms that collide.
+
+    Examples
+    --------
+    rfpsurvey plan
+    rfpsurvey plan example:anticenter --center "95 23" --epoch 2026.5
+    rfpsurvey plan stars.fits --center "06h20m00s +23d00m00s" \
+        --output tile.fits --plot tile.png
+    rfpsurvey plan stars.fits --output tile.fits --report tile.html
+    rfpsurvey plan stars.fits --plot tile.png --set output.targets=outcome \
+        --set output.quality=quality.png
+    rfpsurvey plan stars.csv --instrument sdss_apo --center "95.0 23.0" \
+        --position-angle 40 --set equinox=J2026.0
+    rfpsurvey plan stars.fits --allocator optimal --constraint sky=20 \
+        --set options.sky_separation=10
+    rfpsurvey plan stars.fits --constraint "required 4711" \
+        --constraint "keep_out 95.0 23.1 0.01"
+    rfpsurvey plan stars.fits --center "95 23" --write-plan plan.toml
+    rfpsurvey plan plan.toml --output tile.fits
+    """
+    conditions = _app.conditions_of(keys.conditions)
     inputs = (keys.catalog.path, keys.instrument.name, keys.instrument.broken, keys.conditions.get("path"))
     _app.check_outputs(keys.output, inputs)
     _app.check_targets(keys.output)
-    model = _app.model_of(keys.instrument, lambda: _conditions.time_of(conditions, keys.epoch))
+    model = _app.model_of(keys.instrument, lambda: _app.time_of(conditions, keys.epoch))
     catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
     sky, field = _app.targets_and_center(catalog, keys.center, model, keys.rng)
     if field is None and keys.equinox is not None:

@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _process, _surveys
+from rfpsurvey._cli import _app, _groups, _print, _process, _surveys
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._outputs import check_output, check_separate
 from rfpsurvey.errors import number_of
@@ -53,10 +53,17 @@ class PotentialKeys(_groups.WorkerKeys):
     PotentialKeys,
     "tiles.path instrument.name survey tiles.passes epoch workers rng catalog.columns output.path output.overwrite",
     argument="catalog.path",
-    epilog=_examples.POTENTIAL_EXAMPLES,
 )
 def potential(keys: PotentialKeys, _: Given) -> None:
-    """Find the tiles and positioners that reach each point of a catalog of random points."""
+    r"""Find the tiles and positioners that reach each point of a catalog of random points.
+
+    Examples
+    --------
+    rfpsurvey potential random.fits --instrument desi --tiles tiles.ecsv \
+        --output potential.fits
+    rfpsurvey potential random.fits --instrument desi --survey plan \
+        --workers 2 --output potential.fits
+    """
     output = keys.output.path
     if output is not None:
         paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.survey
@@ -67,7 +74,7 @@ def potential(keys: PotentialKeys, _: Given) -> None:
         survey = rs.Survey.read(keys.survey)
         tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
     tiling = _surveys.read_tiles(tiles)
-    model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
+    model = _app.model_of(keys.instrument, lambda: _app.time_of_tiles(tiling, keys.epoch, {}))
     points = _surveys.targets_of(keys, model)
     tiling = _surveys.tiles_of(tiling, points, model)
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
@@ -78,10 +85,9 @@ def potential(keys: PotentialKeys, _: Given) -> None:
         n_tiles = found.n_tiles()
         written = None if output is None else found.write(output, overwrite=keys.output.overwrite)
     print(f"{model.name}, {number_of(len(found), 'tile')}, {number_of(len(n_tiles), 'point')}")
-    for n, number in enumerate(np.bincount(n_tiles).tolist()):
-        if number:
-            print(f"{'points in reach in ' + number_of(n, 'tile'):<34}{number:>12}")
-    print(f"{'mean number of tiles per point':<34}{n_tiles.mean():>12.4f}")
+    numbers = enumerate(np.bincount(n_tiles).tolist())
+    _print.print_facts({f"points in reach in {number_of(n, 'tile')}": number for n, number in numbers if number})
+    _print.print_facts({"mean number of tiles per point": n_tiles.mean()})
     print(f"computing time {perf_counter() - begin:.1f} s")
     if written is not None:
         print(f"wrote {output}: {number_of(written, 'pair')} of a positioner and a point")

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Annotated
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _groups, _print
+from rfpsurvey._cli import _app, _groups, _print
 from rfpsurvey._cli._command import command
 from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._executors import released
@@ -72,10 +72,19 @@ class ProbabilityKeys:
     "method estimand precision.standard_error precision.max_iterations targets.kind allocator density rng workers "
     "output.path output.plot output.report output.overwrite",
     argument="instrument.name",
-    epilog=_examples.PROBABILITY_EXAMPLES,
 )
 def probability(keys: ProbabilityKeys) -> None:
-    """Estimate the probability that arms collide, with a confidence interval."""
+    r"""Estimate the probability that arms collide, with a confidence interval.
+
+    Examples
+    --------
+    rfpsurvey probability lamost
+    rfpsurvey probability sdss_apo --method monte_carlo --precision 0.002 \
+        --workers 2
+    rfpsurvey probability moons --estimand independent --density shared
+    rfpsurvey probability lamost --targets stars.fits --output map.fits \
+        --plot map.png
+    """
     kind = keys.targets.get("kind")
     _app.check_outputs(keys.output, (kind, keys.instrument.name, keys.instrument.broken))
     model = _app.model_of(keys.instrument)

@@ -6,13 +6,13 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _command, _examples, _main
-from rfpsurvey._cli._print import print_text
+from rfpsurvey._cli import _command, _main
+from rfpsurvey._cli._print import print_facts, print_text
 from rfpsurvey._readers import is_number, parse_number
 from rfpsurvey.errors import listed, number_of
 
 
-@_main.app.command(epilog=_examples.RECORD_EXAMPLES)
+@_main.app.command(cls=_main.Command)
 def record(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     table: Annotated[
@@ -40,13 +40,21 @@ def record(
         bool, typer.Option("--dry-run", help="Print what would change, without recording anything.")
     ] = False,
 ) -> None:
-    """Record what was observed, or which tiles and targets changed, in the folder of a survey."""
+    """Record what was observed, or which tiles and targets changed, in the folder of a survey.
+
+    Examples
+    --------
+    rfpsurvey record plan night1.ecsv
+    rfpsurvey record plan mtl-done-tiles.ecsv
+    rfpsurvey record plan night2.csv --column date=night --enough 0.9
+    rfpsurvey record plan confSummaryF-998.par --tile 17
+    rfpsurvey record plan new_targets.ecsv
+    """
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
     found = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, dry_run=dry_run)
-    print(f"{'new events':<34}{found['n_events']:>12}")
-    print(f"{'already recorded':<34}{found['n_known']:>12}")
-    print(f"{'ignored (not observed)':<34}{found['n_ignored']:>12}")
+    labels = {"n_events": "new events", "n_known": "already recorded", "n_ignored": "ignored (not observed)"}
+    print_facts({label: found[name] for name, label in labels.items()})
     for kind, names in found["changes"].items():
         print_text(f"{kind:<34}{len(names):>12}  {listed(names, 5)}")
     if dry_run:

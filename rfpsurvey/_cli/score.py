@@ -7,7 +7,7 @@ import astropy.units as u
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print
+from rfpsurvey._cli import _app, _groups, _print
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._cli._keys import Located
 from rfpsurvey.tile import north_of_date
@@ -80,10 +80,19 @@ class ScoreKeys:
     "instrument.name center position_angle epoch positions missing options.constraints options.rules catalog.select "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
-    epilog=_examples.SCORE_EXAMPLES,
 )
 def score(keys: ScoreKeys, _: Given) -> None:
-    """Find the collisions in an assignment that was made by another program."""
+    r"""Find the collisions in an assignment that was made by another program.
+
+    Examples
+    --------
+    rfpsurvey score confSummary-26.par.gz
+    rfpsurvey score confSummary-26.par.gz --instrument sloanFlatCMM
+    rfpsurvey score plan.ecsv --instrument sdss_apo
+    rfpsurvey score designs.ecsv --instrument sdss_lco \
+        --set catalog.select.design_id=503246 --set equinox=J2022.0
+    rfpsurvey score tile.fits --constraint sky=20/spectrograph
+    """
     path = keys.catalog.path
     if path is None:
         raise rs.InputError("catalog.path must be given: the file of the plan to score")
@@ -113,4 +122,4 @@ def _time_of(table, epoch: object) -> Time | None:
     """Return the time of the observing conditions that a tile records or, without such a time, the epoch."""
     provenance = table.meta.get("provenance")
     recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
-    return _conditions.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)
+    return _app.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)

@@ -3,17 +3,17 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Annotated
 
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _conditions, _examples, _groups, _print, _process, _survey_folder, _surveys
+from rfpsurvey._cli import _app, _groups, _print, _process, _surveys
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._cli._keys import build
-from rfpsurvey._cli.survey import SurveyKeys
+from rfpsurvey._cli.survey import SurveyKeys, state_of, values_of
 from rfpsurvey._outputs import check_separate
-from rfpsurvey.report import selection_facts
+from rfpsurvey._settings import option
+from rfpsurvey.selection import selection_facts
 from rfpsurvey.survey import JOINT
 
 
@@ -37,7 +37,6 @@ class SelectOutputKeys(_groups.OutputKeys):
     path: Path | None = None
     folder: Path | None = None
     resume: bool = False
-    plot: Path | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,7 +54,7 @@ class SelectKeys(_groups.WorkerKeys):
     tiles: _groups.TilesKeys
     options: _groups.Options
     output: SelectOutputKeys
-    n_realizations: Annotated[int, 1] = 128
+    n_realizations: int = option(128, low=1)
     order: _groups.Order = "color"
     epoch: _groups.Epoch = None
     lost_in_collision: _groups.Lost = True
@@ -68,11 +67,24 @@ class SelectKeys(_groups.WorkerKeys):
     "output.path output.folder output.resume workers rng catalog.columns output.plot output.report "
     "output.overwrite",
     argument="catalog.path",
-    epilog=_examples.SELECT_EXAMPLES,
 )
 def select(keys: SelectKeys, given: Given) -> None:
-    """Plan a survey many times with random subpriorities, and write the probability that each target is observed."""
-    values = _survey_folder.values_of(keys.catalog.path)
+    r"""Plan a survey many times with random subpriorities, and write the probability that each target is observed.
+
+    Examples
+    --------
+    rfpsurvey select --n-realizations 64 --output selection.fits
+    rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv \
+        --workers 2 --folder selection
+    rfpsurvey select galaxies.fits --instrument desi --tiles tiles.ecsv \
+        --workers 2 --folder selection --resume
+    rfpsurvey select galaxies.fits --tiles tiles.ecsv --plot selection.png \
+        --report selection.html
+    rfpsurvey select galaxies.fits --tiles tiles.ecsv \
+        --set lost_in_collision=false --output selection.fits
+    rfpsurvey select survey_folder --output selection.fits
+    """
+    values = values_of(keys.catalog.path)
     survey = None if values is None else build(SurveyKeys, values)
     if survey is not None:  # the keys have the values of the survey, unless they are given
         values.pop("options.subpriority", None)  # each realization has its own subpriorities
@@ -90,24 +102,15 @@ def select(keys: SelectKeys, given: Given) -> None:
     check_separate([output, stored], paths)
     _app.check_outputs(keys.output, paths, (".fits",))
     tiling = _surveys.read_tiles(keys.tiles)
-    model = _app.model_of(keys.instrument, lambda: _conditions.time_of_tiles(tiling, keys.epoch, {}))
+    model = _app.model_of(keys.instrument, lambda: _app.time_of_tiles(tiling, keys.epoch, {}))
     targets = _surveys.targets_of(keys, model)
     if survey is not None:
-        targets = _survey_folder.state_of(place, replace(survey, catalog=keys.catalog), targets)
+        targets = state_of(place, replace(survey, catalog=keys.catalog), targets)
     elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
-    options = {
-        "allocator": rs.AllocationOptions(**keys.options),
-        "passes": keys.tiles.passes,
-        "epoch": keys.epoch,
-        "lost_in_collision": keys.lost_in_collision,
-        "order": keys.order,
-        "folder": folder,
-        "resume": keys.output.resume,
-        "rng": keys.rng,
-    }
+    options = _surveys.options_of(keys) | {"allocator": rs.AllocationOptions(**keys.options)}
     tiling = _surveys.tiles_of(tiling, targets if survey is None else targets.first, model)
-    tiling = tiling if survey is None else _conditions.tiles_under(tiling, survey.conditions)
+    tiling = tiling if survey is None else _app.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")
@@ -137,11 +140,7 @@ def _with_visits(targets, visits: int):
 def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
     """Print the summary of selection probabilities, one value per line."""
     s = found.summary
-    print(f"{found.provenance['instrument']['name']}, allocator {allocator}")
-    _print.print_text(f"model: {s['model']}")
-    if s.get("epoch") and found.provenance["parameters"].get("epoch") is None:
-        _print.print_text(f"epoch: {s['epoch']}")
-    for label, value in selection_facts(found).items():
-        print(f"{label:<34}{value:>12.4f}" if isinstance(value, float) else f"{label:<34}{value:>12}")
+    _print.print_model(found.provenance["instrument"]["name"], allocator, s, found.provenance["parameters"])
+    _print.print_facts(selection_facts(found))
     plans = s["n_tiles"] * s["n_realizations"]
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")

@@ -8,13 +8,12 @@ import typer
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _main, _print
-from rfpsurvey._cli._survey_folder import survey_and_state
-from rfpsurvey.report import status_facts
-from rfpsurvey.survey import survey_status
+from rfpsurvey._cli import _app, _main, _print
+from rfpsurvey._cli.survey import survey_and_state
+from rfpsurvey.survey import status_facts, survey_status
 
 
-@_main.app.command(epilog=_examples.STATUS_EXAMPLES)
+@_main.app.command(cls=_main.Command)
 def status(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     until: Annotated[
@@ -31,7 +30,14 @@ def status(
     report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
-    """Print what a survey has observed, what is planned, and what remains."""
+    """Print what a survey has observed, what is planned, and what remains.
+
+    Examples
+    --------
+    rfpsurvey status plan
+    rfpsurvey status plan --until 2026-01-31 --output targets.fits
+    rfpsurvey status plan --plot status.png --report status.html
+    """
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
     survey, state = survey_and_state(folder, until)
@@ -42,23 +48,14 @@ def status(
         draw=lambda: rs.plot.plot_survey_status(found)[0].figure,
         report=(found, {}),
     ):
-        for label, value in status_facts(found).items():
-            print(f"{label:<34}{value:>24}")
+        _print.print_facts(status_facts(found), 24)
         print("tiles of each pass by state:")
         _print.print_table(QTable(rows=found.meta["tiles"]))
         if found.meta["areas"]:
             print("visits of each area on the sky (right ascension and declination in deg):")
-            columns = (
-                "ra",
-                "dec",
-                "n_requested",
-                "n_observed",
-                "n_planned",
-                "n_not_assigned",
-                "n_lost",
-                "n_impossible",
-            )
-            _print.print_table(QTable(rows=found.meta["areas"])[columns])
+            areas = QTable(rows=found.meta["areas"])
+            areas.remove_columns(["n_targets", "n_complete", "n_failed", "n_left"])
+            _print.print_table(areas)
         if len(found) > 1:
             print("visits of each class of targets:")
             short = found.copy()

@@ -7,10 +7,9 @@ from typing import Annotated
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _examples, _groups, _print, _surveys
+from rfpsurvey._cli import _app, _groups, _print, _surveys
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._methods import help_of
-from rfpsurvey.allocation import given_options
 from rfpsurvey.region import Region
 from rfpsurvey.tiling import METHODS
 
@@ -79,12 +78,24 @@ class TileKeys:
     "region instrument.name method passes completeness n_tiles tiles.path=--centers options.allocator "
     "options.constraints catalog.visits catalog.columns rng output.path output.plot output.report output.overwrite",
     argument="catalog.path",
-    epilog=_examples.TILE_EXAMPLES,
 )
 def tile(keys: TileKeys, _: Given) -> None:
-    """Place the tiles of a survey."""
-    paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
-    _app.check_outputs(keys.output, paths)
+    r"""Place the tiles of a survey.
+
+    Examples
+    --------
+    rfpsurvey tile --region "box 180 240 25 45" --passes 2 --output tiles.ecsv \
+        --report tiles.html
+    rfpsurvey tile --region sky --method spiral --instrument desi
+    rfpsurvey tile stars.fits --method network_flow --completeness 0.95 \
+        --allocator repair
+    rfpsurvey tile stars.fits --method given --centers tiles.ecsv
+    rfpsurvey tile stars.fits --region "cap 95 23 5" \
+        --set tiles.declination="[-10, 60]"
+    rfpsurvey tile stars.fits --set radius=1.5 --set fibers=400
+    """
+    tiles = keys.tiles
+    _app.check_outputs(keys.output, (keys.catalog.path, tiles.path, keys.instrument.name, keys.instrument.broken))
     model = _app.model_of(keys.instrument)
     field = inside = keys.region
     if keys.catalog.path is not None or inside is None:
@@ -109,7 +120,7 @@ def tile(keys: TileKeys, _: Given) -> None:
             fibers=rs.tiling.Fibers(keys.fibers, lost_in_collision=keys.lost_in_collision),
             allocator=_options_of(keys.options, by_fibers=by_fibers),
             radius=keys.radius,
-            centers=_centers(keys.tiles),
+            centers=rs.tiling.Centers(_surveys.read_tiles(tiles), tiles.declination, tiles.position_angle),
             exclude=keys.exclude or [],
             visits=keys.catalog.visits,
             progress=sys.stderr.isatty(),
@@ -128,15 +139,10 @@ def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
     return catalog[inside]
 
 
-def _centers(keys) -> "rs.tiling.Centers":
-    """Return the constraints on the centers of tiles."""
-    return rs.tiling.Centers(_surveys.read_tiles(keys), keys.declination, keys.position_angle)
-
-
 def _options_of(given: dict, *, by_fibers: bool) -> "rs.AllocationOptions | None":
     """Return the options of an allocation, or None if all options have their default values."""
     options = rs.AllocationOptions(**given)
-    asked = given_options(options)
+    asked = options.changed()
     if "allocator" not in given and by_fibers and asked:
         raise rs.InputError(
             "--allocator must be given if fibers or radius is combined with options of an allocation, got "

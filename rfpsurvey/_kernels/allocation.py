@@ -14,15 +14,15 @@ MOST = 2**62
 
 
 @kernel
-def balanced(indptr, owner, r2, count, positioner_of_target):
-    """Add each target, in catalog order, to the shortest queue among the positioners that reach it.
+def balanced(indptr, owner, r2, targets, count, positioner_of_target):
+    """Add each of the given targets, in this order, to the shortest queue among the positioners that reach it.
 
     The queue of a positioner is a list of targets, from which one target is drawn later. If several queues are equally
     short, the target is added to the queue of the nearest of these positioners or, in a tie, of the positioner with the
     lowest index.
     """
     count[:] = 0
-    for t in range(indptr.size - 1):
+    for t in targets:
         best = -1
         best_r2 = 0.0
         for k in range(indptr[t], indptr[t + 1]):
@@ -40,13 +40,13 @@ def balanced(indptr, owner, r2, count, positioner_of_target):
 
 
 @kernel
-def fill_queues(positioner_of_target, count, indptr, queue):
-    """List the targets of all queues, one positioner after the other, in catalog order within each queue."""
+def fill_queues(positioner_of_target, targets, count, indptr, queue):
+    """List the targets of all queues, one positioner after the other, in the given order within each queue."""
     indptr[0] = 0
     for i in range(count.size):
         indptr[i + 1] = indptr[i] + count[i]
     fill = indptr[:-1].copy()
-    for t in range(positioner_of_target.size):
+    for t in targets:
         i = positioner_of_target[t]
         if i >= 0:
             queue[fill[i]] = t
@@ -54,44 +54,58 @@ def fill_queues(positioner_of_target, count, indptr, queue):
 
 
 @kernel
-def draw_configuration(indptr, queue, uniform, target_of_positioner):
-    """Draw one target from each queue that is not empty; ``uniform`` contains a random number for each positioner."""
-    for i in range(indptr.size - 1):
-        n = indptr[i + 1] - indptr[i]
-        target_of_positioner[i] = -1
-        if n > 0:
-            target_of_positioner[i] = queue[indptr[i] + min(int(uniform[i] * n), n - 1)]
+def draw_places(indptr, uniform, place):
+    """Draw a place in each queue: an index from ``indptr[i]`` to ``indptr[i + 1] - 1``, or -1 if the queue is empty.
+
+    ``uniform`` contains a random number for each configuration and positioner.
+    """
+    for c in range(uniform.shape[0]):
+        for i in range(uniform.shape[1]):
+            n = indptr[i + 1] - indptr[i]
+            place[c, i] = indptr[i] + min(int(uniform[c, i] * n), n - 1) if n > 0 else -1
+
+
+@inlined_kernel
+def precedes(rank, order, number, by_distance, s, s_r2, t, t_r2):
+    """Return whether target s precedes target t in the order in which targets are assigned.
+
+    The order is by class; then, if ``by_distance`` is true, by the squared distance from the positioner; then by
+    subpriority, then by the integer that represents the identifier, then by row.
+    """
+    if rank[s] != rank[t]:
+        return rank[s] < rank[t]
+    if by_distance and s_r2 != t_r2:
+        return s_r2 < t_r2
+    if order[s] != order[t]:
+        return order[s] > order[t]
+    return number[s] < number[t] or (number[s] == number[t] and s < t)
 
 
 @kernel
-def list_best(indptr, owner, r2, rank, in_order, start, count, target, out_r2):
-    """List the best targets of each positioner, sorted by priority class, then distance, then catalog order.
+def list_best(indptr, owner, r2, rank, order, number, by_distance, is_open, start, count, target, out_r2, in_reach):
+    """List the first targets of each positioner, sorted in the order of `precedes`.
 
-    The class of rank 0 is first. If ``in_order`` is true, the targets are sorted by class, then catalog order. The
-    input lists the positioners that reach each target. At most ``start[i + 1] - start[i]`` targets of positioner i are
-    stored, beginning at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
+    The input lists the positioners that reach each target. Only targets marked in ``is_open`` are listed, and their
+    number is written to ``in_reach``. At most ``start[i + 1] - start[i]`` targets of positioner i are stored, beginning
+    at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
     """
     count[:] = 0
+    in_reach[:] = 0
     for t in range(indptr.size - 1):
-        c = rank[t]
+        if not is_open[t]:
+            continue
         for k in range(indptr[t], indptr[t + 1]):
             i, d = owner[k], r2[k]
+            in_reach[i] += 1
             first = start[i]
             m = first + count[i]
             if m == start[i + 1]:
-                last = m - 1
-                if (
-                    m == first
-                    or rank[target[last]] < c
-                    or (rank[target[last]] == c and (in_order or out_r2[last] <= d))
-                ):
-                    continue
                 m -= 1
+                if m < first or precedes(rank, order, number, by_distance, target[m], out_r2[m], t, d):
+                    continue
             else:
                 count[i] += 1
-            while m > first and (
-                rank[target[m - 1]] > c or (not in_order and rank[target[m - 1]] == c and out_r2[m - 1] > d)
-            ):
+            while m > first and precedes(rank, order, number, by_distance, t, d, target[m - 1], out_r2[m - 1]):
                 target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
                 m -= 1
             target[m], out_r2[m] = t, d
@@ -161,13 +175,13 @@ def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted
 
 @kernel
 def nominate(
-    indptr,
+    start,
+    count,
     target,
     r2,
     rank,
-    n_ranks,
-    t_indptr,
-    t_owner,
+    indptr,
+    owner,
     free_reach,
     nominee_of,
     nominee_r2,
@@ -180,31 +194,32 @@ def nominate(
     Every free positioner nominates its nearest unassigned target of the class. If several positioners nominate a
     target, it is assigned to the positioner with the fewest unassigned targets in reach; ties are decided by the
     distance, then by the index of the positioner. ``free_reach`` must be the number of targets in reach of each
-    positioner, even if the list of candidates does not contain all of these targets.
+    positioner, even if the list of candidates does not contain all of these targets. The candidates of positioner i
+    have the indices from ``start[i]`` up to, but not including, ``start[i] + count[i]``.
     """
-    n = indptr.size - 1
+    n = count.size
     for i in range(n):  # numba takes seconds to compile the assignment of an array to a slice
-        cursor[i] = indptr[i]
+        cursor[i] = start[i]
     target_of_positioner[:] = -1
     positioner_of_target[:] = -1
     nominee_of[:] = -1
     c = 0
-    while c < n_ranks:
-        upcoming = n_ranks
+    while c < MOST:
+        upcoming = MOST
         nominated = True
         while nominated:
             nominated = False
-            upcoming = n_ranks
+            upcoming = MOST
             for i in range(n):
                 if target_of_positioner[i] >= 0:
                     continue
-                k = cursor[i]
-                while k < indptr[i + 1] and (
+                k, stop = cursor[i], start[i] + count[i]
+                while k < stop and (
                     rank[target[k]] < c or (rank[target[k]] == c and positioner_of_target[target[k]] >= 0)
                 ):
                     k += 1
                 cursor[i] = k
-                if k == indptr[i + 1]:
+                if k == stop:
                     continue
                 if rank[target[k]] != c:
                     upcoming = min(upcoming, rank[target[k]])
@@ -222,15 +237,15 @@ def nominate(
                     nominee_r2[t] = r2[k]
             for i in range(n):
                 k = cursor[i]
-                if target_of_positioner[i] >= 0 or k == indptr[i + 1] or nominee_of[target[k]] != i:
+                if target_of_positioner[i] >= 0 or k == start[i] + count[i] or nominee_of[target[k]] != i:
                     continue
                 t = target[k]
                 if rank[t] != c or positioner_of_target[t] >= 0:
                     continue
                 target_of_positioner[i] = t
                 positioner_of_target[t] = i
-                for m in range(t_indptr[t], t_indptr[t + 1]):
-                    free_reach[t_owner[m]] -= 1
+                for m in range(indptr[t], indptr[t + 1]):
+                    free_reach[owner[m]] -= 1
         c = upcoming  # the next class with a candidate of a free positioner
 
 
@@ -246,27 +261,14 @@ def sort_by_distance(indptr, r2, closest):
             closest[m] = k
 
 
-@inlined_kernel
-def precedes(rank, order, number, s, t):
-    """Return whether target s precedes target t in the order in which targets are assigned.
-
-    The order is by class, then by subpriority, then by the integer that represents the identifier, then by row.
-    """
-    if rank[s] != rank[t]:
-        return rank[s] < rank[t]
-    if order[s] != order[t]:
-        return order[s] > order[t]
-    return number[s] < number[t] or (number[s] == number[t] and s < t)
-
-
 @kernel
-def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, cursor, target_of_positioner, pair):
+def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, is_open, target_of_positioner, pair):
     """Assign each target, in the order of `precedes`, to its closest free positioner.
 
-    If ``by_distance`` is true, the closest pair of the first class is assigned first, then the closest remaining pair
-    of this class, and so on. ``closest`` contains the pairs of each target, sorted by `sort_by_distance`, and
-    ``cursor`` the index in ``closest`` of the first pair that each target may use. The pair of each positioner with a
-    target is written to ``pair``.
+    If ``by_distance`` is true, this means that the closest pair of the first class is assigned first, then the closest
+    remaining pair of this class, and so on. ``closest`` contains the pairs of each target, sorted by
+    `sort_by_distance`. Only targets marked in ``is_open`` are assigned. The pair of each positioner with a target is
+    written to ``pair``.
 
     The method is deferred acceptance. Each target proposes to its positioners in the order of ``closest``, and a
     positioner keeps the best target among the targets that have proposed to it. The result is the same as if the
@@ -274,6 +276,10 @@ def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, cursor
     """
     target_of_positioner[:] = -1
     pair[:] = -1
+    # the next pair of each target that it may use, as index in ``closest``
+    cursor = np.empty(indptr.size - 1, np.int64)
+    for t in range(indptr.size - 1):
+        cursor[t] = indptr[t] if is_open[t] else indptr[t + 1]
     for first in range(indptr.size - 1):
         t = first
         while t >= 0 and cursor[t] < indptr[t + 1]:
@@ -281,13 +287,8 @@ def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, cursor
             cursor[t] += 1
             i = owner[k]
             s = target_of_positioner[i]
-            if s >= 0:
-                if by_distance and rank[s] == rank[t] and r2[pair[i]] != r2[k]:
-                    refused = r2[pair[i]] < r2[k]
-                else:
-                    refused = precedes(rank, order, number, s, t)
-                if refused:
-                    continue
+            if s >= 0 and precedes(rank, order, number, by_distance, s, r2[pair[i]], t, r2[k]):
+                continue
             target_of_positioner[i], pair[i] = t, k
             t = s
 
@@ -298,7 +299,6 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
     Each positioner, in the given order, is assigned to the nearest marked target that is not yet assigned. The previous
     target of the positioner is then no longer assigned. The positioners that were changed are marked in ``locked``.
-    Returns ``need`` minus the number of marked targets that were assigned.
     """
     for i in order:
         if need <= 0:
@@ -316,7 +316,6 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
         positioner_of_target[target[best]] = i
         locked[i] = True
         need -= 1
-    return need
 
 
 @kernel

@@ -8,8 +8,8 @@ from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import check, fill_idle, place, shape
 from rfpsurvey._kernels.collisions import Limits, colliding_obstacles, find_colliding, halve, squared_limit
 
-# Columns of ``counts``.
-PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, ASSIGNED, COUNTED, BORDERLINE = range(7)
+# Columns of ``counts``, in the order of the fields of `CollisionCounts`.
+PAIRS, OBSTACLE_PAIRS, COLLIDING, COLLIDING_ASSIGNED, COUNTED, ASSIGNED, BORDERLINE = range(7)
 N_COUNTS = 7
 
 
@@ -75,28 +75,23 @@ def mark_colliding(setup, workspace, slack):
 
 
 @kernel
-def count(setup, workspace, counts, times):
+def count(setup, workspace, slack, counts, times):
     """Count the collisions of the arms in the workspace, and add 1 to ``times[i]`` for each colliding positioner i."""
-    counts[PAIRS], counts[OBSTACLE_PAIRS], counts[BORDERLINE] = mark_colliding(setup, workspace, 0.0)
-    assigned = colliding = both = counted = 0
+    counts[PAIRS], counts[OBSTACLE_PAIRS], counts[BORDERLINE] = mark_colliding(setup, workspace, slack)
+    assigned = both = counted = n = 0
     for i in range(workspace.assigned.size):
         counts_too = workspace.assigned[i] | setup.parked[i]
         assigned += workspace.assigned[i]
         counted += counts_too
-        colliding += workspace.colliding[i] & counts_too
+        n += workspace.colliding[i] & counts_too
         both += workspace.colliding[i] & workspace.assigned[i]
         times[i] += workspace.colliding[i]
-    counts[ASSIGNED], counts[COUNTED], counts[COLLIDING], counts[COLLIDING_ASSIGNED] = (
-        assigned,
-        counted,
-        colliding,
-        both,
-    )
+    counts[ASSIGNED], counts[COUNTED], counts[COLLIDING], counts[COLLIDING_ASSIGNED] = assigned, counted, n, both
 
 
 @kernel
 def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
-    """Count the collisions of m configurations and return the number of tips out of reach.
+    """Count the collisions of m configurations, and return the number of tips out of reach.
 
     The shape of ``tips`` is (m, n, 2). ``side`` (the sign of phi) has a single row for all configurations, or one row
     for each configuration.
@@ -108,29 +103,24 @@ def count_tips(tips, geometry, bounds, side, setup, workspace, counts, times):
             place(tips[c], geometry, side[min(c, side.shape[0] - 1)], workspace.segments)
             fill_idle(workspace.assigned, setup.idle, workspace.segments)
             shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
-        count(setup, workspace, counts[c], times)
+        count(setup, workspace, 0.0, counts[c], times)
     return far
 
 
 @kernel
-def count_draws(uniform, indptr, entries, idle, setup, workspace, counts, times):
-    """Count the collisions of m random configurations; each configuration has one random pose from each queue.
+def count_poses(chosen, segments, idle, setup, slack, workspace, counts, times):
+    """Count the collisions of m configurations, in which each positioner has one of several known poses.
 
-    The queue of a positioner contains its possible poses. ``uniform`` contains the random numbers of the draws, in
-    [0, 1), with the shape (m, n). ``entries`` contains the segments of all poses, one queue after the other. ``idle``
-    contains the segments of the positioners whose queue is empty.
+    ``segments`` contains the arms in all poses, ``chosen`` the index of the pose of each positioner in each
+    configuration, or -1 if the arm is idle, and ``idle`` the idle arms. See `mark_colliding` for ``slack``. ``times``
+    has a single row, for the sums over all configurations, or one row for each configuration.
     """
-    n = indptr.size - 1
-    for i in range(n):
-        workspace.assigned[i] = indptr[i + 1] > indptr[i]
-        if not workspace.assigned[i]:
-            for row in range(4):
-                workspace.segments[row, i] = idle[row, i]
-    for c in range(uniform.shape[0]):
-        for i in range(n):
-            length = indptr[i + 1] - indptr[i]
-            if length > 0:
-                k = indptr[i] + min(int(uniform[c, i] * length), length - 1)
-                for row in range(4):
-                    workspace.segments[row, i] = entries[row, k]
-        count(setup, workspace, counts[c], times)
+    can_collide = setup.runs.shape[0] > 0 or setup.obstacle_pairs.shape[0] > 0
+    for c in range(chosen.shape[0]):
+        for i in range(chosen.shape[1]):
+            workspace.assigned[i] = chosen[c, i] >= 0
+        for row in range(4 if can_collide else 0):
+            for i in range(chosen.shape[1]):
+                k = chosen[c, i]
+                workspace.segments[row, i] = segments[row, k] if k >= 0 else idle[row, i]
+        count(setup, workspace, slack, counts[c], times[min(c, times.shape[0] - 1)])

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._jit import inlined_kernel, kernel
 from rfpsurvey._kernels.outlines import (
     NO_OUTLINE,
     NO_POLYGONS,
@@ -133,16 +133,8 @@ def segments_squared(ax, ay, bx, by, cx, cy, dx, dy):
 @kernel
 def pair_squared(segments, i, j):
     """Return the squared distance of the arms i and j."""
-    return segments_squared(
-        segments[0, i],
-        segments[1, i],
-        segments[2, i],
-        segments[3, i],
-        segments[0, j],
-        segments[1, j],
-        segments[2, j],
-        segments[3, j],
-    )
+    first = segments[0, i], segments[1, i], segments[2, i], segments[3, i]
+    return segments_squared(*first, segments[0, j], segments[1, j], segments[2, j], segments[3, j])
 
 
 @kernel
@@ -151,20 +143,9 @@ def outlined_squared(segments, a, b, limits, i, j):
 
     The cores are the columns a and b of ``segments``, and the offset is defined in `Outline`.
     """
-    return outlines_squared(
-        limits.outline,
-        limits.separation,
-        i,
-        j,
-        segments[0, a],
-        segments[1, a],
-        segments[2, a],
-        segments[3, a],
-        segments[0, b],
-        segments[1, b],
-        segments[2, b],
-        segments[3, b],
-    )
+    ax, ay, bx, by = segments[0, a], segments[1, a], segments[2, a], segments[3, a]
+    cx, cy, dx, dy = segments[0, b], segments[1, b], segments[2, b], segments[3, b]
+    return outlines_squared(limits.outline, limits.separation, i, j, ax, ay, bx, by, cx, cy, dx, dy)
 
 
 @kernel
@@ -228,6 +209,28 @@ def keep_near(halves, m, squared, first, second):
         first[n], second[n] = i, j
         n += not apart(mx, my, halves[2, i], halves[3, i], halves[2, j], halves[3, j], squared)
     return n
+
+
+@inlined_kernel
+def project(segments, a0, a1, b0, b1, geometry, i, j, ahead):
+    """Project segments on the line from the center of positioner i to that of positioner j, and return two extremes.
+
+    ``ahead`` receives the foremost coordinate of the segments from a0 to a1, which belong to positioner i, and the
+    hindmost coordinate of the segments from b0 to b1, of positioner j. The result is the largest of the foremost
+    coordinates, and the smallest of the hindmost coordinates; their difference is a lower limit of all distances.
+    """
+    x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
+    ux, uy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
+    inverse = 1.0 / math.sqrt(ux * ux + uy * uy)
+    ux, uy = ux * inverse, uy * inverse
+    foremost, hindmost = -math.inf, math.inf
+    for a in range(a0, a1):
+        ahead[a] = max(x0[a] * ux + y0[a] * uy, x1[a] * ux + y1[a] * uy)
+        foremost = max(foremost, ahead[a])
+    for b in range(b0, b1):
+        ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
+        hindmost = min(hindmost, ahead[b])
+    return foremost, hindmost
 
 
 @kernel

@@ -4,13 +4,12 @@ Candidates are sorted by positioner: the candidates of positioner i have the ind
 including, ``start[i + 1]``. A plan uses exactly one candidate of each positioner.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared, squared_limit
+from rfpsurvey._kernels.collisions import keep_near, outlined_squared, pair_squared, project, squared_limit
 
 # Number of candidate pairs that are tested together.
 BATCH = 2048
@@ -47,7 +46,6 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     the arms have outlines, all close candidate pairs are listed, and `keep_outlined` must test them.
     """
     n = 0
-    x0, y0, x1, y1 = segments[0], segments[1], segments[2], segments[3]
     touching, limit, band = limits.separation + limits.slack, squared_limit(limits), limits.band
     near2 = limits.near**2
     outlined = limits.outline.start.size > 1
@@ -65,16 +63,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
         p += 1
         if a0 == a1 or b0 == b1:
             continue
-        ux, uy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
-        inverse = 1.0 / math.sqrt(ux * ux + uy * uy)
-        ux, uy = ux * inverse, uy * inverse
-        foremost, hindmost = -np.inf, np.inf
-        for a in range(a0, a1):
-            ahead[a] = max(x0[a] * ux + y0[a] * uy, x1[a] * ux + y1[a] * uy)
-            foremost = max(foremost, ahead[a])
-        for b in range(b0, b1):
-            ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
-            hindmost = min(hindmost, ahead[b])
+        foremost, hindmost = project(segments, a0, a1, b0, b1, geometry, i, j, ahead)
         if hindmost - foremost > touching:
             continue
         m = 0

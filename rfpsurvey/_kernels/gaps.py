@@ -51,7 +51,6 @@ def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid,
     positioner than this point. The direction from the center of the positioner rotates by the golden angle from each
     tested point to the next.
     """
-    x0, y0, size, nx, ny, start, order = grid
     golden = math.pi * (3.0 - math.sqrt(5.0))
     n = 0
     for i in own:
@@ -60,7 +59,7 @@ def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid,
         for k in range(fraction.size):
             r = math.sqrt(low + fraction[k] * (high - low))
             px, py = cx[i] + r * math.cos(golden * k), cy[i] + r * math.sin(golden * k)
-            if is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
+            if is_clear(px, py, separation, x, y, *grid):
                 out_own[n], out_x[n], out_y[n] = i, px, py
                 n += 1
                 found += 1

@@ -10,15 +10,7 @@ import math
 from numba import cuda, int32
 
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
-from rfpsurvey._kernels.batch import (
-    ASSIGNED,
-    BORDERLINE,
-    COLLIDING,
-    COLLIDING_ASSIGNED,
-    COUNTED,
-    OBSTACLE_PAIRS,
-    PAIRS,
-)
+from rfpsurvey._kernels.batch import ASSIGNED, BORDERLINE, COLLIDING, COLLIDING_ASSIGNED, COUNTED, OBSTACLE_PAIRS, PAIRS
 from rfpsurvey._kernels.collisions import near_squared, point_segment_squared
 
 __all__ = ["THREADS", "count", "list_pairs", "pose_tips"]

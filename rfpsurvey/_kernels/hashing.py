@@ -16,13 +16,15 @@ LARGEST, LAST, MOST_NEGATIVE = np.uint64((2**64 - 1) // 10), np.uint64((2**64 - 
 UNIT = 2.0**-53
 
 
-@kernel
-def mix(number):
-    """Return the output of SplitMix64 for ``number``; each bit of the output depends on all bits of ``number``."""
+def split_mix(number):
+    """Return the output of SplitMix64 for a number or for an array; each bit depends on all bits of the number."""
     z = number + GOLDEN
     z = (z ^ (z >> np.uint64(30))) * FIRST
     z = (z ^ (z >> np.uint64(27))) * SECOND
     return z ^ (z >> np.uint64(31))
+
+
+mix = kernel(split_mix)
 
 
 @kernel

@@ -77,16 +77,7 @@ def _nothing(*shape, dtype=np.float64):
 
 
 NO_OUTLINE = Outline(
-    _nothing(5, 1),
-    _nothing(1, dtype=np.int64),
-    0,
-    0,
-    0.0,
-    0.0,
-    0.0,
-    (0.0,) * 4,
-    (0.0,) * 4,
-    _nothing(0, 3),
+    _nothing(5, 1), _nothing(1, dtype=np.int64), 0, 0, 0.0, 0.0, 0.0, (0.0,) * 4, (0.0,) * 4, _nothing(0, 3)
 )
 """The value for arms that have no outline."""
 
@@ -235,12 +226,8 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
     ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
-    ax, ay, bx, by = (
-        ax0 + (x * ac - y * as_),
-        ay0 + (y * ac + x * as_),
-        bx0 + (x * bc - y * bs),
-        by0 + (y * bc + x * bs),
-    )
+    ax, ay = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_)
+    bx, by = bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
     x, y, other_wide, other_high = outline.central_box
     cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
     px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)

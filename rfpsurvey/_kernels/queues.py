@@ -5,7 +5,6 @@ weight, independent of all other queues. For a given entry of a positioner, coll
 therefore independent, and the probability of no collision is a product over the neighbors.
 """
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -18,6 +17,7 @@ from rfpsurvey._kernels.collisions import (
     obstacle_distance,
     outlined_squared,
     pair_squared,
+    project,
     squared_limit,
 )
 
@@ -60,14 +60,7 @@ class Expected(NamedTuple):
 def place_queues(realization, positioners, setup, segments):
     """Compute the segments of the entries of all queues, one queue after the other."""
     g, indptr, queue = positioners.geometry, realization.queues, realization.queue
-    x, y, model, length, cosine, sine = (
-        realization.x,
-        realization.y,
-        setup.model,
-        setup.length,
-        setup.cosine,
-        setup.sine,
-    )
+    x, y, model, length = realization.x, realization.y, setup.model, setup.length
     ex, ey, tx, ty = segments[0], segments[1], segments[2], segments[3]
     for k in range(indptr[-1]):
         tx[k], ty[k] = x[queue[k]], y[queue[k]]
@@ -78,7 +71,7 @@ def place_queues(realization, positioners, setup, segments):
             ex[k], ey[k] = cx + dx, cy + dy
         if model == CAPSULE:
             for k in range(indptr[i], indptr[i + 1]):
-                tx[k], ty[k] = capsule_end(ex[k], ey[k], tx[k], ty[k], length, cosine[i], sine[i])
+                tx[k], ty[k] = capsule_end(ex[k], ey[k], tx[k], ty[k], length, setup.cosine[i], setup.sine[i])
         elif model == FIBER_TIP:
             for k in range(indptr[i], indptr[i + 1]):
                 ex[k], ey[k] = tx[k], ty[k]
@@ -138,16 +131,7 @@ def expect(pairs, geometry, setup, entries, expected):
         a0, a1, b0, b1 = entries.start[i], entries.stop[i], entries.start[j], entries.stop[j]
         if a0 == a1 or b0 == b1:
             continue
-        ux, uy = geometry.cx[j] - geometry.cx[i], geometry.cy[j] - geometry.cy[i]
-        inverse = 1.0 / math.sqrt(ux * ux + uy * uy)
-        ux, uy = ux * inverse, uy * inverse
-        foremost, hindmost = -np.inf, np.inf
-        for a in range(a0, a1):
-            ahead[a] = max(x0[a] * ux + y0[a] * uy, x1[a] * ux + y1[a] * uy)
-            foremost = max(foremost, ahead[a])
-        for b in range(b0, b1):
-            ahead[b] = min(x0[b] * ux + y0[b] * uy, x1[b] * ux + y1[b] * uy)
-            hindmost = min(hindmost, ahead[b])
+        foremost, hindmost = project(segments, a0, a1, b0, b1, geometry, i, j, ahead)
         if hindmost - foremost > touching:
             continue
         n = 0

@@ -153,42 +153,37 @@ def fill_group(order, need, group, held, count, most, options, chosen, blocked, 
 
 @kernel
 def settle(options, order, fixed, chosen, blocked, holder):
-    """Move colliding positioners to collision-free candidates that are at least as good; return how many were moved.
+    """Move colliding positioners to collision-free candidates that are at least as good.
 
     ``order`` lists the positioners in the order in which they move, except those marked in ``fixed``.
     """
-    moved = 0
     for i in order:
         if fixed[i] or blocked[chosen[i]] == 0:
             continue
         c = best_free(i, chosen[i], options, chosen, blocked, holder)
         if c >= 0:
             put(i, c, options, chosen, blocked, holder)
-            moved += 1
-        elif displace(i, chosen[i], NO, options, chosen, blocked, holder):
-            moved += 1
-    return moved
+        else:
+            displace(i, chosen[i], NO, options, chosen, blocked, holder)
 
 
 @kernel
 def drop(options, order, fixed, chosen, blocked, holder):
-    """Remove targets from positioners, in place, until no arms collide; return the number of removed targets.
+    """Remove targets from positioners, in place, until no arms collide.
 
     The positioner that collides with the most arms loses its target first. In a tie, the positioner that is earlier in
     ``order`` loses its target first.
     """
-    dropped = 0
     while True:
         most = 0
         for i in order:
             if not fixed[i]:
                 most = max(most, blocked[chosen[i]])
         if most == 0:
-            return dropped
+            return
         for i in order:
             if fixed[i] or blocked[chosen[i]] != most:
                 continue
-            dropped += options.target[chosen[i]] >= 0
             give_up_target(i, options, chosen, blocked, holder, fixed)
             if fixed[i]:  # the idle arm of this positioner collides, so that other positioners collide with more arms
                 break

@@ -6,9 +6,8 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.allocation import balanced, draw_configuration, fill_queues
-from rfpsurvey._kernels.arms import Geometry, fill_idle, place, shape
-from rfpsurvey._kernels.batch import count
+from rfpsurvey._kernels.allocation import balanced, draw_places, fill_queues
+from rfpsurvey._kernels.arms import Geometry
 from rfpsurvey._kernels.queues import expect, place_queues, prepare_entries
 from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
@@ -39,6 +38,8 @@ class Realization(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     accepts: np.ndarray
+    targets: np.ndarray
+    """Row of each target: 0, 1, 2, and so on."""
     indptr: np.ndarray
     owner: np.ndarray
     r2: np.ndarray
@@ -103,28 +104,12 @@ def realize(rng, number, sky, positioners, realization):
         x[found:], y[found:] = np.nan, np.nan
     else:
         scatter(rng, sky, x, y)
-    x0, y0, size, nx, ny, start, order = positioners.grid
-    indptr = realization.indptr[: number + 1]
-    reachable_pairs(
-        x,
-        y,
-        realization.accepts,
-        positioners.annuli,
-        positioners.offers,
-        x0,
-        y0,
-        size,
-        nx,
-        ny,
-        start,
-        order,
-        indptr,
-        realization.owner,
-        realization.r2,
-        realization.code,
-    )
-    balanced(indptr, realization.owner, realization.r2, realization.length, realization.owner_of[:number])
-    fill_queues(realization.owner_of[:number], realization.length, realization.queues, realization.queue)
+    indptr, owner, r2 = realization.indptr[: number + 1], realization.owner, realization.r2
+    types = realization.accepts, positioners.annuli, positioners.offers
+    reachable_pairs(x, y, *types, *positioners.grid, indptr, owner, r2, realization.code)
+    targets, owner_of = realization.targets[:number], realization.owner_of[:number]
+    balanced(indptr, owner, r2, targets, realization.length, owner_of)
+    fill_queues(owner_of, targets, realization.length, realization.queues, realization.queue)
 
 
 @kernel
@@ -145,27 +130,18 @@ def thin(rng, most, indptr, queue):
 
 
 @kernel
-def draw_and_count(rng, numbers, sky, positioners, realization, setup, workspace, counts, times, counted):
-    """Count the collisions of one random configuration per realization.
-
-    For each positioner that is assigned or parked in a configuration, 1 is added to ``counted``.
-    """
+def draw_tips(rng, numbers, sky, positioners, realization, tips):
+    """Draw one random configuration per realization; the tips of positioners without a target are NaN."""
     n = positioners.side.size
-    uniform, target_of, tips = np.empty(n), np.empty(n, np.int64), np.empty((n, 2))
+    uniform, place = np.empty((1, n)), np.empty((1, n), np.int64)
     for c in range(numbers.size):
         realize(rng, numbers[c], sky, positioners, realization)
         for i in range(n):
-            uniform[i] = rng.random()
-        draw_configuration(realization.queues, realization.queue, uniform, target_of)
+            uniform[0, i] = rng.random()
+        draw_places(realization.queues, uniform, place)
         for i in range(n):
-            t = target_of[i]
-            workspace.assigned[i] = t >= 0
-            tips[i, 0], tips[i, 1] = (realization.x[t], realization.y[t]) if t >= 0 else (np.nan, np.nan)
-            counted[i] += workspace.assigned[i] | setup.parked[i]
-        place(tips, positioners.geometry, positioners.side, workspace.segments)
-        shape(workspace.segments, setup.model, setup.length, setup.cosine, setup.sine)
-        fill_idle(workspace.assigned, positioners.idle, workspace.segments)
-        count(setup, workspace, counts[c], times)
+            t = realization.queue[place[0, i]] if place[0, i] >= 0 else -1
+            tips[c, i, 0], tips[c, i, 1] = (realization.x[t], realization.y[t]) if t >= 0 else (np.nan, np.nan)
 
 
 @kernel

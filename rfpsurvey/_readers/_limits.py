@@ -5,7 +5,7 @@ import gzip
 import io
 import lzma
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Sized
 from contextlib import contextmanager, nullcontext
 from pathlib import Path
 from typing import BinaryIO
@@ -113,11 +113,6 @@ def _opener(path: Path):
     return next((opener for magic, opener in OPENERS.items() if head.startswith(magic)), None)
 
 
-def is_compressed(path: Path) -> bool:
-    """Return whether a file is compressed, according to its first bytes."""
-    return _opener(path) is not None
-
-
 def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
     """Return the decompressed content of a file; raise an error if it has more than ``most`` bytes.
 
@@ -159,7 +154,7 @@ def _too_large(path, limit, opener) -> str:
 
 def open_content(path: Path) -> BinaryIO:
     """Return an open, seekable file: the file itself, or its decompressed content."""
-    return io.BytesIO(content_of(path)) if is_compressed(path) else open_file(path)
+    return io.BytesIO(content_of(path)) if _opener(path) else open_file(path)
 
 
 def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) -> None:
@@ -170,3 +165,9 @@ def check_width(path: Path, n_rows: int, longest: int, size: int, where: str) ->
             f"{path}: the text in {where} must be short enough to fit into memory, got {longest} characters, which "
             f"take {needed / 1e9:.0f} GB in a column of {n_rows} rows"
         )
+
+
+def check_rows(path: Path, rows: Sized, n_rows: int) -> None:
+    """Raise an error if a table does not have as many rows as its file."""
+    if len(rows) != n_rows:
+        raise InputError(f"{path}: the table must have as many rows as the file ({n_rows}), got {len(rows)} rows")

@@ -1,4 +1,4 @@
-"""Convert columns with units to quantities, except integers that floating-point numbers cannot represent."""
+"""Convert text to numbers, and columns with units to quantities, except integers that floats cannot represent."""
 
 import warnings
 
@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import Column, QTable, Table
 from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
 
-from rfpsurvey.errors import warn
+from rfpsurvey.errors import INCONVERTIBLE, warn
 
 MOST_EXACT = 2**53
 
@@ -45,3 +45,24 @@ def is_known(unit: object, text: str | None = None, **options: str) -> bool:
         return Unit(str(unit) if text is None else text, **options) == Unit(unit)
     except (ValueError, TypeError):
         return False
+
+
+def is_number(text: object) -> bool:
+    """Return whether a value of a table, such as text, can be read as a number."""
+    try:
+        parse_number(text)
+    except INCONVERTIBLE:
+        return False
+    return True
+
+
+def parse_number(text: object, kind: type = float) -> float:
+    """Return the number in a text; text such as 1_0, which only Python reads as a number, is a ValueError."""
+    if isinstance(text, str) and ("_" in text or has_other_digits(text)):
+        raise ValueError(f"{text!r} is not a decimal number")
+    return kind(text)
+
+
+def has_other_digits(text: str) -> bool:
+    """Return whether a text contains decimal digits other than 0 to 9, such as Arabic ones, which Python reads."""
+    return not text.isascii() and any(c.isdecimal() and not c.isascii() for c in text)

@@ -1,6 +1,8 @@
 """Read tables in all supported formats."""
 
 import os
+from collections.abc import Iterable
+from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -9,11 +11,8 @@ from astropy.table import QTable, Table
 from rfpsurvey._readers._documents import check_size, parse_json
 from rfpsurvey._readers._fits import META_KEY, read_all_fits, read_fits
 from rfpsurvey._readers._limits import check_is_file, check_width, reading
-from rfpsurvey._readers._parquet import read_parquet
 from rfpsurvey._readers._quantities import with_quantities
 from rfpsurvey.errors import InputError, refusal, short
-
-__all__ = ["FORMATS", "META_KEY", "read_table", "read_tables", "suffix_of", "to_path"]
 
 FORMATS = {
     ".fits": "fits",
@@ -28,26 +27,16 @@ FORMATS = {
 }
 
 
-def _read_text(path: Path) -> Table:
-    from rfpsurvey._readers import _text  # the reader is imported on first use, like the reader of VOTables
-
-    return _text.read_csv(path) if FORMATS[suffix_of(path)] == "ascii.csv" else _text.read_ecsv(path)
-
-
-def _read_votable(path: Path) -> Table:
-    from rfpsurvey._readers._votable import read_votable
-
-    return read_votable(path)
-
-
 READERS = {
-    "ascii.ecsv": _read_text,
-    "ascii.csv": _read_text,
-    "votable": _read_votable,
-    "parquet": read_parquet,
+    "ascii.ecsv": ("_text", "read_ecsv"),
+    "ascii.csv": ("_text", "read_csv"),
+    "votable": ("_votable", "read_votable"),
+    "parquet": ("_parquet", "read_parquet"),
 }
+"""Module and name of the reader of each format except FITS; the modules are imported on first use."""
 STRUCTURE = ("SIMPLE", "BITPIX", "NAXIS", "EXTEND", "CHECKSUM", "DATASUM", "COMMENT", "HISTORY")
 ZIPPED = (".gz", ".bz2", ".xz")
+"""Endings of compressed files, which follow the ending that determines the format."""
 
 
 def to_path(path: object) -> Path:
@@ -68,6 +57,28 @@ def suffix_of(path: Path) -> str:
     return suffixes[-1] if suffixes else ""
 
 
+def has_ending(path: Path, endings: Iterable[str]) -> bool:
+    """Return whether a file name has one of some endings, such as ``.csv``; a final ``.gz`` or the like is ignored."""
+    name = path.name.lower()
+    name = name.removesuffix(path.suffix.lower()) if path.suffix.lower() in ZIPPED else name
+    return any(name.endswith(ending) and name != ending for ending in endings)
+
+
+def is_fits(path: Path) -> bool:
+    """Return whether a file is in FITS format, which can contain several tables, but only ASCII text."""
+    return FORMATS.get(suffix_of(path)) == "fits"
+
+
+def is_csv(path: Path) -> bool:
+    """Return whether a file is in CSV format, which cannot contain units."""
+    return FORMATS.get(suffix_of(path)) == "ascii.csv"
+
+
+def lacks_units(path: Path) -> bool:
+    """Return whether a file has a format whose columns usually have no units: CSV or Parquet."""
+    return is_csv(path) or FORMATS.get(suffix_of(path)) == "parquet"
+
+
 def read_table(
     path: str | os.PathLike, hdu: int | str | None = None, remedy: str = "", *, padded: bool = True
 ) -> QTable:
@@ -84,11 +95,14 @@ def read_table(
     if hdu is not None and (isinstance(hdu, bool) or not isinstance(hdu, int | np.integer | str)):
         raise refusal("hdu must be the number or the name of a table", hdu)
     check_is_file(path)
-    is_fits = FORMATS[suffix] == "fits"
-    if hdu is not None and not is_fits:
+    if hdu is not None and not is_fits(path):
         raise InputError(f"{path}: hdu must be used only with FITS files, got {short(hdu)}")
     with reading(path, FORMATS[suffix]):
-        table = read_fits(path, hdu, remedy, padded=padded) if is_fits else READERS[FORMATS[suffix]](path)
+        if is_fits(path):
+            table = read_fits(path, hdu, remedy, padded=padded)
+        else:
+            module, name = READERS[FORMATS[suffix]]
+            table = getattr(import_module(f"rfpsurvey._readers.{module}"), name)(path)
         table = _checked(table, path)
     if META_KEY in table.meta:
         table.meta = parse_json(table.meta[META_KEY], f"{path}: the header card {META_KEY}")

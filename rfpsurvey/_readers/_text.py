@@ -1,18 +1,23 @@
-"""Read CSV files (commas or other delimiters) and ECSV files, in which each line is a row."""
+"""Read text tables (CSV and ECSV), after a check that each line is a complete row."""
 
 import re
 import warnings
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 from astropy.table import Table
 from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
 
-from rfpsurvey._readers._header import find_names
-from rfpsurvey._readers._limits import content_of, warn_of_open_end
-from rfpsurvey._readers._lines import count_lines, line_number
+from rfpsurvey._readers._limits import MOST_COLUMNS, check_rows, check_width, content_of, warn_of_open_end
+from rfpsurvey._readers._quantities import is_number
 from rfpsurvey.errors import InputError, warn
 
+DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
+DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
+# The names of the columns must be within this number of bytes from the beginning of the file.
+MOST_NAMES_BYTES = 2**22
+QUOTED = re.compile(rb'"[^"]*"')
 MOST_HEADER = 2**18
 MOST_CELLS = 100_000
 MARK = "x"  # with this prefix, a number is read as text
@@ -51,7 +56,8 @@ def read_csv(path: Path) -> Table:
         is_known = not isinstance(unit, UnrecognizedUnit) and unit != dimensionless_unscaled
         if is_known and table[name].dtype.kind in "if":
             table[name].unit = unit
-    return _with_all_rows(path, table, n_lines - 1)
+    check_rows(path, table, n_lines - 1)
+    return table
 
 
 def read_ecsv(path: Path) -> Table:
@@ -79,7 +85,8 @@ def read_ecsv(path: Path) -> Table:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         table = text_tables.read(lines, format="ecsv", guess=False)
-    return _with_all_rows(path, table, n_lines - 1)
+    check_rows(path, table, n_lines - 1)
+    return table
 
 
 def _parse(text: str, options: dict) -> Table:
@@ -90,7 +97,8 @@ def _parse(text: str, options: dict) -> Table:
             text += "\n"
         return text_tables.read(text, fast_reader={"enable": "force"}, **options)
     # the fast reader cannot read characters outside ASCII
-    return text_tables.read([line for line in text.split("\n") if _is_data(line)], fast_reader=False, **options)
+    lines = [line for line in text.split("\n") if line.strip() and not line.lstrip(" \t").startswith("#")]
+    return text_tables.read(lines, fast_reader=False, **options)
 
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
@@ -125,11 +133,6 @@ def _checked_content(path: Path) -> bytes:
     return content
 
 
-def _is_data(line: str) -> bool:
-    line = line.lstrip(" \t")
-    return bool(line.strip()) and not line.startswith("#")
-
-
 def _end_of_header(content: bytes) -> int:
     """Return the position of the first byte after the comments at the beginning of an ECSV file."""
     place = 0
@@ -144,7 +147,204 @@ def _end_of_header(content: bytes) -> int:
     return place
 
 
-def _with_all_rows(path, table, n_rows):
-    if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have as many rows as the file ({n_rows}), got {len(table)} rows")
-    return table
+BLOCK = 2**22
+# Largest number of blank lines and comments in a file, in addition to ten such lines per row of the table.
+MOST_IDLE = 1_000_000
+NEWLINE, RETURN, TAB, SPACE, QUOTE, HASH = b'\n\r\t "#'
+
+
+def line_number(content: bytes, where: int) -> int:
+    """Return the number, counted from 1, of the line that contains the byte at offset ``where``."""
+    return content.count(b"\n", 0, where) + 1
+
+
+def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, ragged: bool = False) -> int:
+    """Return the number of lines that are neither blank nor comments, including the line with the column names.
+
+    Raise an error for a line with an unclosed quotation mark. Unless ``ragged`` is True, also raise an error for a line
+    whose number of fields differs from the number of fields of the first line.
+    """
+    number, n_lines, n_idle, longest, at, n_fields = line_number(content, begin) - 1, 0, 0, 0, 0, 0
+    while begin < len(content):
+        end = content.find(b"\n", begin + BLOCK) + 1 or len(content)
+        lines = _Lines(content[begin:end], delimiter)
+        if not (n_fields or ragged) and lines.data.any():
+            first = int(np.argmax(lines.data))
+            n_fields = _fields(lines.line(first), delimiter)
+            if n_fields > MOST_COLUMNS:
+                raise InputError(f"{path}: a table must have at most {MOST_COLUMNS} columns, got {n_fields}")
+            if n_fields == 0:
+                raise InputError(_open_quote(path, number + first + 1))
+        if not lines.are_whole(n_fields):
+            _refuse(path, lines, number, n_fields)
+        widest = int(lines.length.argmax())
+        if lines.length[widest] > longest:
+            longest, at = int(lines.length[widest]), number + widest + 1
+        n_data = int(np.count_nonzero(lines.data))
+        n_lines, n_idle, number = n_lines + n_data, n_idle + len(lines.data) - n_data, number + len(lines.data)
+        if n_idle > MOST_IDLE + 10 * n_lines:
+            raise InputError(
+                f"{path}: most lines must be rows of the table, got {n_idle} blank lines and comments up to "
+                f"line {number}"
+            )
+        begin = end
+    check_width(path, n_lines, longest, len(content), f"line {at}")
+    return n_lines
+
+
+class _Lines:
+    """A block of complete lines of the file.
+
+    Parameters
+    ----------
+    block : bytes
+        Content of the lines.
+    delimiter : bytes
+        Character that separates the fields of a line.
+    """
+
+    def __init__(self, block: bytes, delimiter: bytes):
+        self.block, self.delimiter = block, delimiter
+        self.bytes = np.frombuffer(block, np.uint8)
+        ends = np.flatnonzero(self.bytes == NEWLINE)
+        if not len(ends) or ends[-1] != len(block) - 1:
+            ends = np.append(ends, len(block))
+        self.end, self.start = ends, np.append(0, ends[:-1] + 1)
+        self.length = self.end - self.start
+        first = self.bytes[self.start]
+        self.data = (first != NEWLINE) & (first != RETURN)
+        self.comments = []
+        for k in np.flatnonzero((first == SPACE) | (first == TAB) | (first == HASH)).tolist():
+            line = self.line(k).strip()
+            if not line or line.startswith(b"#"):
+                self.data[k] = False
+                self.comments.append(k)
+
+    def line(self, k: int) -> bytes:
+        return self.block[self.start[k] : self.end[k]]
+
+    def are_whole(self, n_fields: int) -> bool:
+        """Return whether the lines are certainly complete rows with ``n_fields`` fields (0: any number of fields).
+
+        In a complete row, each quoted value ends in the line in which it begins.
+        """
+        text, delimiter = self.bytes, self.delimiter[0]
+        if self.comments:
+            text = text.copy()
+            for k in self.comments:
+                text[self.start[k] : self.end[k]] = RETURN
+        n_delimiters = (n_fields - 1) * np.count_nonzero(self.data)
+        if b'"' not in self.block:
+            return not n_fields or np.count_nonzero(text == delimiter) == n_delimiters
+        padded = np.full(len(text) + 4, NEWLINE, np.uint8)
+        padded[2:-2] = text
+        marks = np.flatnonzero((text == delimiter) | (text == QUOTE) | (text == NEWLINE))
+        kinds = text[marks]
+        quotes = kinds == QUOTE
+        inside = (np.cumsum(quotes.view(np.uint8), dtype=np.uint8) & 1).view(bool)
+        place = marks[quotes] + 2
+        before, after = padded[place[::2] - 1], padded[place[1::2] + 1]
+        opens = (before == delimiter) | (before == NEWLINE) | (before == QUOTE)
+        opens |= (before == SPACE) & (padded[place[::2] - 2] == delimiter)
+        closes = (after == delimiter) | (after == NEWLINE) | (after == QUOTE) | (after == RETURN)
+        closes |= (after == SPACE) & (padded[place[1::2] + 2] == delimiter)
+        closed = len(place) % 2 == 0 and opens.all() and closes.all() and not (inside & (kinds == NEWLINE)).any()
+        return closed and (not n_fields or np.count_nonzero((kinds == delimiter) & ~inside) == n_delimiters)
+
+
+def _refuse(path: Path, lines: _Lines, before: int, n_fields: int) -> None:
+    """Raise an error for the first invalid line of a block; ``before`` is the number of preceding lines."""
+    for k in np.flatnonzero(lines.data).tolist():
+        found = _fields(lines.line(k), lines.delimiter)
+        if found == 0:
+            raise InputError(_open_quote(path, before + k + 1))
+        if n_fields and found != n_fields:
+            raise InputError(
+                f"{path}: line {before + k + 1} must have {n_fields} fields, like the first line, got {found} fields"
+            )
+
+
+def _open_quote(path, number) -> str:
+    return (
+        f"{path}: a quoted value must end in the line in which it begins, got an unclosed quotation mark in "
+        f"line {number}"
+    )
+
+
+def _fields(line: bytes, delimiter: bytes) -> int:
+    """Return the number of fields of a line, or 0 if a quoted field does not end."""
+    if b'"' not in line:
+        return line.count(delimiter) + 1
+    n, place = 1, 0
+    while True:
+        while line[place : place + 1] in (b" ", b"\t") and line[place : place + 1] != delimiter:
+            place += 1
+        if line[place : place + 1] == b'"':
+            place = line.find(b'"', place + 1)
+            while place >= 0 and line[place + 1 : place + 2] == b'"':
+                place = line.find(b'"', place + 2)
+            if place < 0:
+                return 0
+        place = line.find(delimiter, place) + 1
+        if place == 0:
+            return n
+        n += 1
+
+
+def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
+    """Return the content of a text table, its delimiter, and a dictionary of column names to units.
+
+    In the returned content, the first row contains the names of the columns. The delimiter is found in the line with
+    these names. If this line contains several possible delimiters, the delimiter that occurs equally often in this line
+    and in the next line is used. The names of the columns can be in a comment before the first row. Lines that are not
+    rows of the table are converted to comments. Examples are the line ``sep=;`` of spreadsheets, and the lines with
+    units and dashes that VizieR writes after the names.
+    """
+    if content[:4].lower() == b"sep=":
+        content = b"#" + content
+    # the start and the end of each of the first three lines that are neither blank nor comments
+    lines = [line.span() for line in islice(DATA.finditer(content, 0, MOST_NAMES_BYTES), 3)]
+    if not lines:
+        return content, b",", {}
+    begin, end = lines[0]
+    delimiter = _delimiter(path, content[begin:end], content[slice(*lines[min(1, len(lines) - 1)])])
+    names = _split(content[begin:end], delimiter)
+    if len(names) == 1 and len(names[0].split()) > 1:
+        raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
+    if all(is_number(name) for name in names):
+        before = content.rfind(b"\n", 0, max(begin - 1, 0)) + 1
+        comment = content[before:begin].strip()
+        words = _split(comment.lstrip(b"#"), delimiter)
+        if not comment.startswith(b"#") or len(words) != len(names) or any(is_number(word) for word in words):
+            raise InputError(f"{path}: the first row must contain the names of the columns, got {names[0]!r}")
+        return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
+    for k in (1, 2):
+        if (
+            len(lines) > k
+            and set(content[slice(*lines[k])].strip()) <= set(b"- " + delimiter)
+            and (b"-" in content[slice(*lines[k])])
+        ):
+            words = _split(content[slice(*lines[1])], delimiter) if k == 2 else []
+            for start, _ in reversed(lines[1 : k + 1]):
+                content = content[:start] + b"#" + content[start:]
+            return content, delimiter, dict(zip(names, words, strict=False))
+    return content, delimiter, {}
+
+
+def _delimiter(path: Path, header: bytes, row: bytes) -> bytes:
+    header, row = QUOTED.sub(b"", header), QUOTED.sub(b"", row)
+    there = [one for one in DELIMITERS if one in header]
+    if len(there) > 1:
+        there = [one for one in there if header.count(one) == row.count(one)] or there
+    if b"," in there or not there:
+        return b","
+    if len(there) > 1:
+        names = " and ".join(DELIMITERS[one] for one in there)
+        raise InputError(
+            f"{path}: one delimiter must separate the columns, got {names}; put commas between all columns"
+        )
+    return there[0]
+
+
+def _split(line: bytes, delimiter: bytes) -> list[str]:
+    return [word.decode("utf-8").strip(' "\r\t') for word in line.split(delimiter)]

@@ -13,23 +13,12 @@ from pathlib import Path
 
 from astropy.table import Table
 
-from rfpsurvey._readers._limits import MOST_COLUMNS, MOST_PADDING, open_content
+from rfpsurvey._readers._limits import MOST_COLUMNS, MOST_PADDING, check_rows, open_content
 from rfpsurvey.errors import InputError
 
-SIZES = {
-    "boolean": 1,
-    "bit": 1 / 8,
-    "unsignedByte": 1,
-    "short": 2,
-    "int": 4,
-    "long": 8,
-    "char": 1,
-    "unicodeChar": 2,
-    "float": 4,
-    "double": 8,
-    "floatComplex": 8,
-    "doubleComplex": 16,
-}
+SIZES = {"bit": 1 / 8, "doubleComplex": 16} | dict.fromkeys(("boolean", "unsignedByte", "char"), 1)
+SIZES |= dict.fromkeys(("short", "unicodeChar"), 2) | dict.fromkeys(("int", "float"), 4)
+SIZES |= dict.fromkeys(("long", "double", "floatComplex"), 8)
 # Largest number of bytes in one row, and number of bytes in all rows together that is always allowed, even if the file
 # is small.
 MOST_ROW, FREE_ROWS = 400_000, 2**29
@@ -51,8 +40,7 @@ def read_votable(path: Path) -> Table:
         altered = ALTERED.search(str(warning.message))
         if altered:
             raise InputError(f"{path}: every value must fit into its column, got a value that does not: {altered[1]}")
-    if len(table) != n_rows:
-        raise InputError(f"{path}: the table must have as many rows as the file ({n_rows}), got {len(table)} rows")
+    check_rows(path, table, n_rows)
     return table
 
 
@@ -126,9 +114,8 @@ class _Contents:
                 f"and {size!r}"
             )
         n = math.prod(map(int, (numbers[1] or "1").split("x")))
-        if numbers[2] and kind not in ("char", "unicodeChar"):
-            # only the last dimension can have a variable length
-            n = math.prod(map(int, (numbers[1] or "1").split("x"))) if size.endswith("x*") else 1
+        if numbers[2] and kind not in ("char", "unicodeChar") and not size.endswith("x*"):
+            n = 1  # only the last dimension can have a variable length
         self._fields.append((kind, n, bool(numbers[2])))
         if len(self._fields) > MOST_COLUMNS:
             self._refuse(f"a table must have at most {MOST_COLUMNS} columns, got more")

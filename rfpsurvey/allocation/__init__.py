@@ -10,21 +10,29 @@ from rfpsurvey.allocation._clock import end_on_interrupt
 from rfpsurvey.allocation._constraints import recorded_constraints
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, OPTIONS, Allocator, name_of_best
 from rfpsurvey.allocation._options import AllocationOptions, as_options
-from rfpsurvey.allocation._plugin import find_allocator, packages
+from rfpsurvey.allocation._plugin import packages
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._reasons import IDLE_REASONS, IdleReason, IdleReasons, find_idle_reasons
-from rfpsurvey.allocation._subpriority import id_numbers, service_order, subpriorities, tie_order, to_subpriorities
-from rfpsurvey.allocation._uses import given_options, warn_of_lacks, warn_of_parked, warn_of_unused_options
-from rfpsurvey.constraints import KINDS, Requirement, Shortfall, as_requirements, hint_of_name, sentences
+from rfpsurvey.allocation._rules import RuleProblem
+from rfpsurvey.allocation._subpriority import (
+    id_numbers,
+    service_order,
+    subpriorities,
+    subpriorities_of,
+    tie_order,
+    to_subpriorities,
+)
+from rfpsurvey.allocation._uses import warn_of_lacks, warn_of_parked, warn_of_unused_options
+from rfpsurvey.constraints import KINDS, Requirement, Shortfall
 
 if TYPE_CHECKING:
-    from rfpsurvey.allocation._rules_of_tile import no_rules
     from rfpsurvey.allocation._weighted import (
         GivenPlan,
         ListCandidates,
         RowPrices,
         TileCandidates,
         WeightedProblem,
+        no_rules,
         solve_weighted,
     )
 
@@ -46,28 +54,25 @@ __all__ = [
     "ListCandidates",
     "Requirement",
     "RowPrices",
+    "RuleProblem",
     "Shortfall",
     "TargetColumns",
     "TileCandidates",
     "WeightedProblem",
     "allocate",
     "as_options",
-    "as_requirements",
     "assign",
     "end_on_interrupt",
-    "find_allocator",
     "find_idle_reasons",
-    "given_options",
-    "hint_of_name",
     "id_numbers",
     "name_of_best",
     "no_rules",
     "packages",
     "recorded_constraints",
-    "sentences",
     "service_order",
     "solve_weighted",
     "subpriorities",
+    "subpriorities_of",
     "tie_order",
     "to_subpriorities",
     "warn_of_lacks",
@@ -76,13 +81,13 @@ __all__ = [
 ]
 
 _IMPORTED_ON_USE = {
-    "_rules_of_tile": ("no_rules",),
     "_weighted": (
         "GivenPlan",
         "ListCandidates",
         "RowPrices",
         "TileCandidates",
         "WeightedProblem",
+        "no_rules",
         "solve_weighted",
     ),
 }

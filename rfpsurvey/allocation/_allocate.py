@@ -24,14 +24,8 @@ from rfpsurvey.allocation._sky import with_sky
 from rfpsurvey.allocation._subpriority import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey.allocation._uses import warn_of_unused_options
 from rfpsurvey.collision import check_plane
-from rfpsurvey.constraints import check_counts, count_verdicts
-from rfpsurvey.errors import (
-    InputError,
-    InputTypeError,
-    check_keywords,
-    short,
-    warn_no_effect,
-)
+from rfpsurvey.constraints import check_counts
+from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short, warn_no_effect
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 
 NO_POINTS = np.empty((0, 2))
@@ -229,13 +223,9 @@ def assign(
     answer = find_allocator(options.allocator).function(problem)
     if is_plan(options.start) and options.method.improves:
         answer = with_changes(problem, answer, problem.start(with_lost=True).target_of_positioner)
-    found, in_reach = _finish(problem, answer, n), reach.covered
-    if order is not None:
-        found, in_reach = _in_given_order(found, order), _scatter(in_reach, order)
     return Allocation(
         options.name,
-        **found,
-        in_reach=in_reach,
+        **_finish(problem, answer, reach.covered, order),
         parked_obstacles=options.parked_obstacles,
         seconds={"reach": middle - begin, "allocation": perf_counter() - middle},
         excluded=excluded,
@@ -259,12 +249,7 @@ def _squeeze(classes, rank, science):
 
 
 def _labels(values, n, name):
-    if values is None:
-        return None
-    labels = to_plain(values, name).astype(str)
-    if labels.shape != (n,):
-        raise InputError(f"{name} must have one value per target, shape ({n},), got {labels.shape}")
-    return labels
+    return None if values is None else check_one_each(to_plain(values, name).astype(str), n, name)
 
 
 def _marked(required, n):
@@ -291,18 +276,17 @@ def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None
         reach = reach.where(allowed[reach.target])
     if forbidden is None:
         return reach
+    text = "forbidden must be pairs (positioner, target) of row numbers, got"
     try:
         pairs = np.asarray(forbidden)
     except ValueError:
-        raise InputError(
-            f"forbidden must be pairs (positioner, target) of row numbers, got {short(forbidden)}"
-        ) from None
+        raise InputError(f"{text} {short(forbidden)}") from None
     if pairs.size == 0:
         return reach
     if pairs.dtype.kind == "O":
-        raise InputTypeError(f"forbidden must be pairs (positioner, target) of row numbers, got {short(forbidden)}")
+        raise InputTypeError(f"{text} {short(forbidden)}")
     if pairs.ndim != 2 or pairs.shape[1] != 2 or pairs.dtype.kind not in "iu":
-        raise InputError(f"forbidden must be pairs (positioner, target) of row numbers, got the shape {pairs.shape}")
+        raise InputError(f"{text} the shape {pairs.shape}")
     if pairs.min() < 0 or pairs[:, 0].max() >= reach.n_positioners or pairs[:, 1].max() >= n:
         raise InputError(
             f"forbidden must contain rows of positioners from 0 to {reach.n_positioners - 1} and rows of "
@@ -330,44 +314,43 @@ def _make_start(problem, n_given: int, in_reach, order, given, *, with_lost: boo
     return from_allocation(start, problem, n_given, in_reach, order)
 
 
-def _finish(problem: AllocationProblem, answer: AllocationAnswer, n: int) -> dict:
-    """Return the attributes of an `Allocation`; added sky positions that no positioner observes are omitted."""
-    plane, target_of = problem.focal_plane, answer.target_of_positioner
+def _finish(problem: AllocationProblem, answer: AllocationAnswer, in_reach: np.ndarray, order) -> dict:
+    """Return the attributes of an `Allocation`; added sky positions that no positioner observes are omitted.
+
+    ``order`` is the catalog row of each given target of the problem; None if the rows are the same.
+    """
+    plane, target_of, n = problem.focal_plane, answer.target_of_positioner, len(in_reach)
     used = np.flatnonzero(target_of >= 0)
-    if len(problem.xy) == n:
-        rows, new, points = np.arange(n), None, problem.xy
-    else:
-        rows = np.concatenate([np.arange(n), np.unique(target_of[used][target_of[used] >= n])])
-        new = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
-        new[rows] = np.arange(len(rows))
-        points = problem.xy[rows]
+    added = np.unique(target_of[used][target_of[used] >= n])
+    rows = np.append(np.arange(n), added)
+    row_of = np.full(len(problem.xy) + 1, -1)  # the last element is for positioners without a target
+    row_of[rows] = np.append(np.arange(n) if order is None else order, n + np.arange(len(added)))
     levels = answer.levels
     if levels is None:
         levels = [Level(name, value, float("nan")) for name, value in problem.values(target_of).items()]
-    counts = tuple(count_verdicts(problem.groups, problem.counts_of(target_of)))
-    checked = {"unmet": tuple(problem.shortfalls(target_of)), "counts": counts}
     tips = np.full((len(plane), 2), np.nan)
     tips[used] = problem.xy.take(target_of[used], axis=0)
     fiber = problem.fiber_of(np.arange(len(plane)), target_of)
     types = np.full(len(plane), "", dtype=f"U{max(max(len(t) for t in plane.fiber_types), 1)}")
     types[used] = np.asarray(plane.fiber_types)[fiber[used]]
-    target_of = target_of if new is None else new[target_of]
-    positioner_of = np.full(len(points), -1)
-    positioner_of[target_of[used]] = used
+    positioner_of = np.full(len(rows), -1)
+    positioner_of[row_of[target_of[used]]] = used
     elbows = answer.handedness
     return {
-        "target_of_positioner": target_of,
+        "target_of_positioner": row_of[target_of],
         "positioner_of_target": positioner_of,
         "handedness": elbow_names(plane.arrays.sides(tips, fiber=fiber)) if elbows is None else elbows,
         "tips_mm": tips,
         "fiber_type": types,
-        "xy_mm": points,
+        "in_reach": _scatter(in_reach, row_of[:n]),
+        "xy_mm": _scatter(problem.xy[rows], row_of[rows]),
         "n_given": n,
-        "added": rows[n:] - n,
-        "target_fiber_type": problem.fiber_type[rows] if problem.several_fiber_types else None,
-        "queues": answer.queues,
+        "added": added - n,
+        "target_fiber_type": _scatter(problem.fiber_type[rows], row_of[rows]) if problem.several_fiber_types else None,
+        "queues": answer.queues and (answer.queues[0], row_of[answer.queues[1]]),
         "levels": tuple(levels),
-        **checked,
+        "unmet": tuple(problem.shortfalls(target_of)),
+        "counts": tuple(problem.verdicts(target_of)),
         "meta": {} if answer.meta is None else answer.meta,
     }
 
@@ -377,13 +360,3 @@ def _scatter(values: np.ndarray, order: np.ndarray) -> np.ndarray:
     out = np.empty_like(values)
     out[order] = values
     return out
-
-
-def _in_given_order(found: dict, order: np.ndarray) -> dict:
-    """Return the attributes of an `Allocation` for targets in catalog order; added sky positions remain last."""
-    n = len(order)
-    row_of = np.append(np.append(order, np.arange(n, len(found["xy_mm"]))), -1)
-    columns = {name: found[name] for name in ("positioner_of_target", "xy_mm", "target_fiber_type")}
-    given = {name: None if values is None else _scatter(values, row_of[:-1]) for name, values in columns.items()}
-    queues = found["queues"] and (found["queues"][0], row_of[found["queues"][1]])
-    return {**found, **given, "target_of_positioner": row_of[found["target_of_positioner"]], "queues": queues}

@@ -8,10 +8,9 @@ import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._kernels import conflicts, motion, reduce
 from rfpsurvey._kernels.collisions import halve
-from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._clock import OutOfTimeError, left, now
 from rfpsurvey.allocation._distribution import Spread, members
-from rfpsurvey.allocation._preselect import Preselection, preselect, replaceable
+from rfpsurvey.allocation._preselect import Preselection, place_segments, preselect, replaceable
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import arms_closer_exactly, obstacle_tests, touching
 
@@ -107,7 +106,7 @@ class Candidates:
         o, moving = self.options, self.problem.motion
         if moving is None:
             return None
-        return moving.moves(self.problem, o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
+        return moving.moves(o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
 
     def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
         """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
@@ -130,7 +129,7 @@ class Candidates:
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
         free = replaceable(self.preselection, o.own, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
         pairs = _pairs_where(self.pairs, ~free, np.arange(len(free)))
-        return _assemble(self.problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, pairs)
+        return replace(self, options=o._replace(**_adjacency(len(self), pairs)), pairs=pairs, idle_pairs=None)
 
 
 def find_candidates(
@@ -158,7 +157,7 @@ def find_candidates(
     keep = np.ones(len(own), dtype=bool)
     keep[obstacle_hits(problem.focal_plane, start, found.segments)[:, 0]] = False
     if problem.motion is not None:
-        keep &= problem.motion.allowed(problem, own, target, side)
+        keep &= problem.motion.allowed(own, target, side)
     keep[start[1:] - 1] = True
     found = found if keep.all() else found.where(keep)
     return found.with_collisions(seconds, most_pairs) if most_pairs else found
@@ -325,3 +324,59 @@ def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
     while ends[0] < ends[1] and left(deadline) > 0:
         reduce.reduce_some(options, alive, queue, waiting, ends, mark, removed, COMPARED)
     return alive
+
+
+# Largest numbers between two readings of the clock: cliques, members of cliques, and comparisons of candidates.
+N_CLIQUES, N_MEMBERS, WORK = 4096, 200_000, 50_000_000
+
+
+def cover(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadline: float = np.inf):
+    """Return maximal cliques, which are sets of candidates; a plan without collisions uses at most one of each set.
+
+    If two of the candidates ``rows`` collide, or have the same target but different positioners, at least one clique
+    contains both candidates.
+
+    Parameters
+    ----------
+    options : Options
+        All candidates.
+    rows : ndarray of int, shape (n,)
+        Indices of the candidates from which the cliques are formed.
+    edges : ndarray of int, shape (2, m)
+        Collisions between candidates of ``rows``.
+    deadline : float, optional
+        Value of `now` at which `OutOfTimeError` is raised.
+
+    Returns
+    -------
+    indptr, column : ndarray of int
+        The cliques as compressed rows: clique ``k`` is ``column[indptr[k]:indptr[k + 1]]``. Each clique is sorted.
+    """
+    n = len(options.own)
+    both = np.concatenate([edges, _twins(options, rows)], axis=1)
+    indptr, other = _adjacency(n, both).values()
+    covered, room = np.zeros(len(other), dtype=bool), np.empty(n + N_MEMBERS, dtype=np.int64)
+    first, sizes, columns = 0, [np.zeros(1, dtype=np.int64)], []
+    while first < n:
+        if left(deadline) == 0:
+            raise OutOfTimeError
+        some = np.zeros(N_CLIQUES + 1, dtype=np.int64)
+        first, k = conflicts.grow_cliques(options.own, indptr, other, first, covered, some, room, WORK)
+        sizes.append(np.diff(some[: k + 1]))
+        columns.append(room[: some[k]].copy())
+    return np.cumsum(np.concatenate(sizes)), np.concatenate(columns)
+
+
+def _twins(options, rows):
+    """Return the pairs of candidates that have the same target but different positioners."""
+    rows = rows[np.argsort(options.target[rows], kind="stable")]
+    rows = rows[options.target[rows] >= 0]
+    found, step = [np.empty((2, 0), dtype=np.int64)], 1
+    while True:
+        pair = np.array([rows[:-step], rows[step:]])
+        same = options.target[pair[0]] == options.target[pair[1]]
+        if not same.any():
+            return np.concatenate(found, axis=1)
+        apart = options.own[pair[0]] != options.own[pair[1]]
+        found.append(pair[:, same & apart])
+        step += 1

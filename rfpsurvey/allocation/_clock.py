@@ -3,7 +3,8 @@
 import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
-from threading import Event, current_thread, main_thread
+from math import inf
+from threading import Event, current_thread, local, main_thread
 from time import perf_counter
 
 from numba.core import event
@@ -11,6 +12,15 @@ from numba.core import event
 stop = Event()
 """Event that is set to end all searches early; the searches then return the best plans found so far."""
 _active = Event()
+
+
+class _Allowance(local):
+    """The number of programs that the search of this thread may still solve."""
+
+    programs = inf
+
+
+_allowance = _Allowance()
 
 
 class OutOfTimeError(Exception):
@@ -44,8 +54,21 @@ def now() -> float:
 
 
 def left(deadline: float) -> float:
-    """Return the number of seconds until a deadline; 0 if the deadline has passed or a stop was requested."""
+    """Return the number of seconds until a deadline; 0 if no programs are left, or if a stop was requested.
+
+    Steps without a deadline do not end if no programs are left.
+    """
+    return 0.0 if _allowance.programs <= 0 and deadline < inf else seconds_until(deadline)
+
+
+def seconds_until(deadline: float) -> float:
+    """Return the number of seconds until a deadline, also if no programs are left; 0 if a stop was requested."""
     return 0.0 if stop.is_set() else max(deadline - now(), 0.0)
+
+
+def count_program() -> None:
+    """Count a program that is solved."""
+    _allowance.programs -= 1
 
 
 def share(deadline: float, fraction: float) -> float:
@@ -54,12 +77,15 @@ def share(deadline: float, fraction: float) -> float:
 
 
 @contextmanager
-def searching() -> Iterator[None]:
-    """Return a context manager for the part of a search that an interrupt (Ctrl-C) may end early."""
+def searching(programs: float) -> Iterator[None]:
+    """Return a context manager for the part of a search that an interrupt (Ctrl-C) or a number of programs may end."""
+    before = _allowance.programs
+    _allowance.programs = programs
     _active.set()
     try:
         yield
     finally:
+        _allowance.programs = before
         _active.clear()
 
 

@@ -1,24 +1,12 @@
-"""How allocators honor constraints, and the form in which results record long lists of constraints."""
+"""The form in which results record constraints, and long lists of them."""
 
 import hashlib
 
-from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
+from rfpsurvey.errors import InputError
 
 # Results record lists of at most this many identifiers or circles. For a longer list, they record the length and a
 # digest.
 MOST_LISTED = 1000
-COUNTS = {"exactly": EXACTLY, "goal": AS_GOAL, "no": ONLY_CHECKED}
-
-
-def abilities_of(method) -> Abilities:
-    """Return how an allocator honors constraints, from its record."""
-    return Abilities(
-        EXACTLY if method.avoids_collisions else ONLY_CHECKED,
-        AS_GOAL if method.uses("required") else ONLY_CHECKED,
-        COUNTS[method.counts],
-        COUNTS[method.distribution],
-        EXACTLY if method.avoids_collisions else ONLY_CHECKED,
-    )
 
 
 def recorded_constraints(record: dict) -> list[str]:
@@ -34,3 +22,10 @@ def recorded(texts: list[str]) -> list[str]:
     if len(texts) <= MOST_LISTED:
         return texts
     return [f"{len(texts)} in all, digest {hashlib.sha256(chr(10).join(texts).encode()).hexdigest()[:16]}"]
+
+
+def listed_in(recorded: list[str]) -> list[str]:
+    """Return the texts in a record; raise an error if it contains only their number and a digest."""
+    if len(recorded) == 1 and " in all, digest " in recorded[0]:
+        raise InputError(f"a record determines options only if it contains all texts of a list, got {recorded[0]}")
+    return recorded

@@ -1,15 +1,20 @@
 """The plan of ``repair``, from which `decide` starts if arms are long or if time is short."""
 
+from collections.abc import Callable
 from contextlib import suppress
 from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey.allocation._answer import AllocationAnswer
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._clock import OutOfTimeError, left, now
+from rfpsurvey.allocation._clock import OutOfTimeError, now
+from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_collisions, repair_nearby, trim
 from rfpsurvey.allocation._methods import lamost_rule
+from rfpsurvey.allocation._objectives import is_sum_maximized, levels_of, offset_of, with_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.focal_plane import elbow_names
 
 # Largest number of collisions of candidates.
 MOST_PAIRS = 20_000_000
@@ -22,11 +27,10 @@ LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 class Found(NamedTuple):
     """The result of a search."""
 
-    chosen: np.ndarray
-    """Candidate that each positioner uses; -1 if no candidate was found within the time limit."""
+    chosen: np.ndarray | None
+    """Candidate that each positioner uses; None if no plan was found within the time limit."""
     values: np.ndarray
     bounds: np.ndarray
-    complete: bool
     meta: dict
     least: float = 0.0
     """Lower bound of the cost, as in `Solution`."""
@@ -44,18 +48,16 @@ class Repaired(NamedTuple):
     side: np.ndarray
 
 
-def repaired_plan(problem: AllocationProblem, everything: Candidates, whole: bool) -> Repaired:
-    """Return the plan of the allocator ``repair``.
+def repaired_plan(problem: AllocationProblem, everything: Candidates) -> Repaired:
+    """Return the plan of the allocator ``repair``, whose time is not limited.
 
-    If it takes too long to find all collisions, the plan only uses the candidates ``everything``.
+    If there are too many collisions of candidates, the plan only uses the candidates ``everything``.
     """
     before = lamost_rule(problem).target_of_positioner
-    if whole:
-        candidates = movable_candidates(problem, before)
-        first, seconds = pick(candidates, trim(problem, before)), max(left(problem.deadline), AT_LEAST)
-        with suppress(OutOfTimeError):
-            candidates, plan = repair_nearby(candidates, first, seconds=seconds, most_pairs=MOST_PAIRS)
-            return Repaired(candidates.options.target[plan], candidates.side[plan])
+    candidates = movable_candidates(problem, before)
+    with suppress(OutOfTimeError):
+        candidates, plan = repair_nearby(candidates, pick(candidates, trim(problem, before)), most_pairs=MOST_PAIRS)
+        return Repaired(candidates.options.target[plan], candidates.side[plan])
     deadline = max(problem.deadline, now() + AT_LEAST)
     plan = repair_collisions(everything, pick(everything, trim(problem, before)), deadline)
     return Repaired(everything.options.target[plan], everything.side[plan])
@@ -68,12 +70,12 @@ def local_optimum(problem: AllocationProblem, everything: Candidates) -> Found |
     """
     if problem.groups:
         return None
-    repaired = repaired_plan(problem, everything, True)
+    repaired = repaired_plan(problem, everything)
     best = everything.problem.level_values(match(everything))
     plan, is_whole = plan_of(everything, repaired, np.inf)
     if not is_whole or (values_of(everything, plan) < best).any():
         return None
-    return Found(plan, best, best, True, LOCAL)
+    return Found(plan, best, best, LOCAL)
 
 
 def plan_of(candidates: Candidates, repaired: Repaired, deadline: float) -> tuple[np.ndarray, bool]:
@@ -102,8 +104,30 @@ def better_of(
     return best
 
 
-def unproven(candidates: Candidates, repaired: Repaired) -> Found:
-    """Return the plan of ``repair`` as the result of a search without upper bounds."""
-    plan, _ = plan_of(candidates, repaired, np.inf)
-    values = values_of(candidates, plan)
-    return Found(plan, values, np.full(len(values), np.inf), True, LOCAL)
+def answer_of(
+    given: AllocationProblem,
+    problem: AllocationProblem,
+    used: Candidates,
+    chosen: np.ndarray,
+    repaired: Repaired | None,
+    kept: np.ndarray,
+    upper: Callable,
+    least: float,
+    meta: dict,
+) -> AllocationAnswer:
+    """Return a plan, or the plan of ``repair`` if it is better, as the answer of an allocator.
+
+    ``problem`` is the problem ``given`` without the classes that have no candidates; ``kept`` are the numbers of the
+    other classes. If collisions of idle arms are known, their number is reduced. ``upper`` returns upper bounds of the
+    objectives from their values, and ``least`` is a lower bound of the cost of all plans of equal value.
+    """
+    if used.idle_pairs is not None and used.idle_pairs.size:
+        end = max(problem.deadline, now() + AT_LEAST)
+        chosen = separate_idle_arms(used, chosen, end, keep_cost=is_sum_maximized(given))
+    target_of, side = used.options.target[chosen], used.side[chosen]
+    if repaired is not None and tuple(problem.level_values(repaired.target_of)) > tuple(values_of(used, chosen)):
+        target_of, side = repaired  # this plan uses a candidate that was left out
+    values = problem.level_values(target_of)
+    levels = levels_of(given, offset_of(problem), kept, values, np.maximum(upper(values), values))
+    levels = with_subpriorities(given, levels, target_of, least)
+    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)

@@ -1,11 +1,13 @@
 """The built-in allocators: functions that take an allocation problem and return its solution, and their records."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpsurvey._kernels import allocation as kernels
+from rfpsurvey._kernels.allocation import fill_quota
 from rfpsurvey._methods import Method, table_of
+from rfpsurvey.allocation import _rules
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._distribution import lost_to_rules
@@ -13,10 +15,12 @@ from rfpsurvey.allocation._given import changes_of, is_plan
 from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_nearby, trim
 from rfpsurvey.allocation._objectives import DIGITS, scale_of, with_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem, with_watched
+from rfpsurvey.allocation._rules import RuleProblem
+from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
 
-COUNTS = ("exactly", "goal", "no")
+LEVELS = {"exactly": EXACTLY, "goal": AS_GOAL, "no": ONLY_CHECKED}
 
 
 @dataclass(frozen=True)
@@ -41,17 +45,28 @@ class Allocator(Method):
     """Whether a joint plan of a survey can replace the allocator."""
     keeps_plan: bool = False
     """Whether the allocator changes as few fibers of a given plan as possible."""
+    is_random: bool = False
+    """Whether plans without subpriorities are random."""
+    rule: Callable | None = None
+    """Rule that plans a tile for many realizations of a survey; None if each realization is a complete survey."""
 
     def __post_init__(self):
         for name in ("avoids_collisions", "searches", "makes_queues", "uses_priorities"):
             check_switch(getattr(self, name), name)
         for name in ("counts", "distribution"):
-            check_choice(getattr(self, name), COUNTS, f"value of {name}")
+            check_choice(getattr(self, name), LEVELS, f"value of {name}")
 
     @property
     def improves(self) -> bool:
         """Whether the allocator improves the plan of another allocator."""
         return self.options is not None and "start" in self.options
+
+    @property
+    def abilities(self) -> Abilities:
+        """How the allocator honors constraints."""
+        collisions = EXACTLY if self.avoids_collisions else ONLY_CHECKED
+        required = AS_GOAL if self.uses("required") else ONLY_CHECKED
+        return Abilities(collisions, required, LEVELS[self.counts], LEVELS[self.distribution], collisions)
 
 
 def balanced(problem: AllocationProblem) -> AllocationAnswer:
@@ -61,16 +76,7 @@ def balanced(problem: AllocationProblem) -> AllocationAnswer:
     decided by the distance, then by the row of the positioner. One target of each queue is drawn uniformly and
     observed. Priorities and requirements are ignored.
     """
-    reach = problem.only(problem.science)
-    count = np.empty(reach.n_positioners, dtype=np.int64)
-    owner_of = np.empty(len(problem.rank), dtype=np.int64)
-    kernels.balanced(reach.indptr, reach.owner, reach.r2, count, owner_of)
-    indptr = np.empty(len(count) + 1, dtype=np.int64)
-    queue = np.empty(int(count.sum()), dtype=np.int64)
-    kernels.fill_queues(owner_of, count, indptr, queue)
-    target_of = np.empty(len(count), dtype=np.int64)
-    kernels.draw_configuration(indptr, queue, problem.rng.random(len(count)), target_of)
-    return AllocationAnswer(with_watched(problem, target_of), queues=(indptr, queue))
+    return _by_rule(problem, _rules.balanced, by_priority=False)
 
 
 def nearest(problem: AllocationProblem) -> AllocationAnswer:
@@ -79,16 +85,7 @@ def nearest(problem: AllocationProblem) -> AllocationAnswer:
     If subpriorities are given, assign each target of a class, in order of subpriority, to the closest free positioner.
     Requirements are ignored.
     """
-    reach, rank, _ = _in_order(problem)
-    closest = np.arange(len(reach.owner))
-    kernels.sort_by_distance(reach.indptr, reach.r2, closest)
-    target_of, pair = np.empty((2, reach.n_positioners), dtype=np.int64)
-    same, by_distance = np.zeros(len(rank), dtype=np.uint64), problem.subpriority is None
-    cursor = reach.indptr[:-1].copy()
-    kernels.nearest(
-        reach.indptr, reach.owner, reach.r2, closest, rank, same, same, by_distance, cursor, target_of, pair
-    )
-    return AllocationAnswer(with_watched(problem, target_of))
+    return _by_rule(problem, _rules.nearest)
 
 
 def lamost_rule(problem: AllocationProblem) -> AllocationAnswer:
@@ -100,15 +97,9 @@ def lamost_rule(problem: AllocationProblem) -> AllocationAnswer:
     then met one after the other: first by idle positioners, then by positioners that give up the least important
     targets.
     """
-    reach, rank, n_ranks = _in_order(problem)
-    indptr, target, r2, in_reach = _best(problem, reach, rank)
-    n, m = reach.n_positioners, len(problem.rank)
-    target_of, owner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
-    scratch = (in_reach, np.empty(m, np.int64), np.empty(m), np.empty(n, np.int64))
-    kernels.nominate(indptr, target, r2, rank, n_ranks, reach.indptr, reach.owner, *scratch, target_of, owner_of)
-    target_of = with_watched(problem, target_of)
-    _fill_quotas(problem, target_of, owner_of)
-    return AllocationAnswer(target_of)
+    answer = _by_rule(problem, _rules.lamost_rule)
+    _fill_quotas(problem, answer.target_of_positioner)
+    return answer
 
 
 def network_flow(problem: AllocationProblem) -> AllocationAnswer:
@@ -153,13 +144,20 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
 
 
 _COMMON = ("required", "subpriority", "requirements")
-_SEARCH = (*_COMMON, "objective", "time_limit")
+_SEARCH = (*_COMMON, "objective", "time_limit", "programs")
 METHODS = table_of(
     Allocator(
-        "balanced", balanced, ("subpriority", "rng"), "ignores priorities", makes_queues=True, uses_priorities=False
+        "balanced",
+        balanced,
+        ("subpriority", "rng"),
+        "ignores priorities",
+        makes_queues=True,
+        uses_priorities=False,
+        is_random=True,
+        rule=_rules.balanced,
     ),
-    Allocator("nearest", nearest, ("required", "subpriority")),
-    Allocator("lamost_rule", lamost_rule, _COMMON, "the rule of LAMOST", counts="goal"),
+    Allocator("nearest", nearest, ("required", "subpriority"), rule=_rules.nearest),
+    Allocator("lamost_rule", lamost_rule, _COMMON, "the rule of LAMOST", counts="goal", rule=_rules.lamost_rule),
     Allocator("network_flow", network_flow, _SEARCH, "network flow", searches=True, counts="exactly"),
     Allocator(
         "optimal",
@@ -206,7 +204,8 @@ def name_of_best() -> str:
 def _search(problem, **options):
     from rfpsurvey.allocation._spread import decide  # imported on first use, because it imports solvers
 
-    with searching():
+    programs = problem.options.programs
+    with searching(float("inf") if programs is None else programs):
         return decide(problem, **options)
 
 
@@ -240,41 +239,24 @@ def _bounded(problem, target_of, blind):
     return with_subpriorities(problem, levels, target_of)
 
 
-def _in_order(problem):
-    """Return the pairs (positioner, target) that may be assigned, the class of each target, and the number of classes.
-
-    Required targets of any kind form the first and most important class.
-    """
-    if not problem.any_required:
-        return problem.only(problem.science), problem.rank, len(problem.classes)
-    rank = np.where(problem.is_required, 0, problem.rank + 1)
-    return problem.only(problem.science | problem.is_required), rank, len(problem.classes) + 1
-
-
-def _best(problem, reach, rank):
-    """Return the targets of each positioner, sorted by class and then by distance, and its number of targets in reach.
-
-    With subpriorities, the targets of each class are sorted by subpriority instead of by distance.
-
-    If k other positioners share targets with a positioner, they can observe at most k of its targets. One of the first
-    k + 1 targets of the positioner is therefore always available, and its further targets are omitted.
-    """
-    in_reach = np.bincount(reach.owner, minlength=reach.n_positioners)
-    indptr = np.concatenate([[0], np.cumsum(np.minimum(in_reach, problem.focal_plane.arrays.n_sharing + 1))])
-    target, r2 = np.empty(indptr[-1], dtype=np.int64), np.empty(indptr[-1])
-    count = np.empty(reach.n_positioners, dtype=np.int64)
-    in_order = problem.subpriority is not None
-    kernels.list_best(reach.indptr, reach.owner, reach.r2, rank, in_order, indptr, count, target, r2)
-    return indptr, target, r2, in_reach
+def _by_rule(problem, rule, *, by_priority=True):
+    """Return the plan of a rule; the rows of the targets are already in order of subpriority."""
+    n, n_sharing = len(problem.rank), problem.focal_plane.arrays.n_sharing
+    is_required = problem.is_required if by_priority and problem.any_required else None
+    rank, number = problem.rank if by_priority else np.zeros(n, np.int64), np.zeros(n, np.uint64)
+    given = problem.pairs, rank, problem.science, is_required, number, n_sharing
+    by_distance = problem.subpriority is None
+    answer = rule(RuleProblem.of(*given, by_distance=by_distance), np.zeros(n), np.ones(n, np.bool_), problem.rng)
+    return answer._replace(target_of_positioner=with_watched(problem, answer.target_of_positioner))
 
 
-def _fill_quotas(problem, target_of, owner_of):
+def _fill_quotas(problem, target_of):
     """Change a plan in place such that it meets the requirements as far as possible.
 
     The function uses idle positioners first, then the positioners of the least important targets.
     """
     plane, reach = problem.focal_plane, problem.pairs
-    used = np.flatnonzero(target_of >= 0)
+    used, owner_of = np.flatnonzero(target_of >= 0), np.full(len(problem.rank), -1)
     owner_of[target_of[used]] = used
     locked = ~plane.arrays.usable
     locked[used] |= problem.is_required[target_of[used]]
@@ -296,11 +278,10 @@ def _fill_quotas(problem, target_of, owner_of):
             if group.fibers is not None:
                 inside &= group.fibers
             used = np.flatnonzero(target_of >= 0)
-            counted = np.zeros(len(target_of), dtype=bool)
-            counted[used] = group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)
-            locked |= counted
+            counted = used[group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)]
+            locked[counted] = True
             rank = problem.rank_of(target_of)
             able = np.flatnonzero(~locked & inside)
             order = able[np.argsort(-rank[able], kind="stable")]
-            need = one.minimum - int(counted.sum())
-            kernels.fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)
+            need = one.minimum - len(counted)
+            fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

@@ -1,12 +1,9 @@
 """The integer program for positioners that have several candidates, with variables, constraints and objectives."""
 
-from dataclasses import dataclass
-
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._cliques import cover
+from rfpsurvey.allocation._candidates import Candidates, cover
 from rfpsurvey.allocation._distribution import Spread, pairs_within
 from rfpsurvey.allocation._solver import maximize
 
@@ -17,80 +14,52 @@ PRESOLVE_SECONDS, PRESOLVE_PART = 1.5e-6, 0.5
 ROUNDING = 1e-9
 
 
-@dataclass(frozen=True, eq=False)
 class SpreadRows:
     """The part of an integer program that describes a rule, with a variable for each science fiber.
 
     A science fiber is a pair of a positioner and a science target, or a fixed fiber outside of the program. Its
     variable is 1 if the fiber is in use and has enough neighbors. The variable is not necessary for fibers that have
     enough neighbors, or too few, in every plan of the program.
+
+    The program uses the candidates ``rows``; the candidates ``others`` are in use in every plan.
     """
 
-    k: int
-    fraction: float
-    science: np.ndarray
-    """Columns of the candidates that are science fibers."""
-    always: np.ndarray
-    """Columns of the candidates that are science fibers and have enough neighbors in every plan."""
-    n_fixed: int
-    n_served: int
-    """Number of science fibers outside the program, and how many of them have enough neighbors in every plan."""
-    own: csr_array
-    """Columns of the candidates of each science fiber, as ones; empty for fixed fibers."""
-    is_fixed: np.ndarray
-    near: csr_array
-    """Columns of the candidates that are neighbors of each target, as ones."""
-    n_near: np.ndarray
-    """Number of fixed neighbors of each target."""
-    row: np.ndarray
-    """Row of ``near`` for each science fiber."""
-    group: csr_array
-    """Science fibers of each positioner, as ones."""
-
-    @classmethod
-    def of(cls, candidates, spread: Spread, rows: np.ndarray, others: np.ndarray) -> "SpreadRows":
-        """Return the part for the candidates ``rows``; the candidates ``others`` are in use in every plan."""
+    def __init__(self, candidates: Candidates, spread: Spread, rows: np.ndarray, others: np.ndarray):
         problem, options, (rule, science, near) = candidates.problem, candidates.options, spread
         xy, target = problem.xy, options.target
-        column, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
-        fixed = target[others[science[others]]]
-        targets, row = np.unique(np.append(target[rows[column]], fixed), return_inverse=True)
+        self.k, self.fraction = rule.k, rule.percent / 100
+        # columns of the candidates that are science fibers
+        self.science, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
+        fixed, n = target[others[science[others]]], len(self.science)
+        targets, row = np.unique(np.append(target[rows[self.science]], fixed), return_inverse=True)
         place, at = np.unique(target[rows[neighbors]], return_inverse=True)
         pairs = pairs_within(xy[targets], xy[place], rule.distance_mm)
         close = csr_array((np.ones(len(pairs[0])), pairs), shape=(len(targets), len(place)))
-        close = close @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
+        # columns of the candidates that are neighbors of each target, as ones, and number of fixed neighbors of each
+        self.near = close @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
         pairs = pairs_within(xy[targets], xy[target[others[near[others]]]], rule.distance_mm)
-        n_near = np.bincount(pairs[0], minlength=len(targets))
-        enough = n_near >= rule.k
-        is_open = ~enough & (n_near + close.sum(axis=1) >= rule.k)
+        self.n_near = np.bincount(pairs[0], minlength=len(targets))
+        enough = self.n_near >= rule.k
+        is_open = ~enough & (self.n_near + self.near.sum(axis=1) >= rule.k)
+        # columns of the candidates that are science fibers and have enough neighbors in every plan
+        self.always = self.science[enough[row[:n]]]
+        # number of science fibers outside the program, and how many of them have enough neighbors in every plan
+        self.n_fixed, self.n_served = len(fixed), int(enough[row[n:]].sum())
         # the key of a science fiber is its positioner and its target; fixed fibers have a positioner after all others
-        n = len(options.start) - 1
-        key = row + len(targets) * np.append(options.own[rows[column]], np.full(len(fixed), n))
+        after = len(options.start) - 1
+        key = row + len(targets) * np.append(options.own[rows[self.science]], np.full(len(fixed), after))
         fibers, of_fiber = np.unique(key[is_open[row]], return_inverse=True)
         of_column = np.flatnonzero(is_open[row])
-        free = of_column < len(column)
-        cells = of_fiber[free], column[of_column[free]]
-        own = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
-        positioner, row_of = np.divmod(fibers, max(len(targets), 1))
-        is_fixed = positioner == n
-        _, place = np.unique(positioner[~is_fixed], return_inverse=True)
-        cells = place, np.flatnonzero(~is_fixed)
-        group = csr_array((np.ones(len(place)), cells), shape=(int(place.max(initial=-1)) + 1, len(fibers)))
-        fixed_row = row[len(column) :]
-        return cls(
-            rule.k,
-            rule.percent / 100,
-            column,
-            column[enough[row[: len(column)]]],
-            len(fixed),
-            int(enough[fixed_row].sum()),
-            own,
-            is_fixed,
-            close,
-            n_near,
-            row_of,
-            group,
-        )
+        free = of_column < n
+        cells = of_fiber[free], self.science[of_column[free]]
+        # columns of the candidates of each science fiber, as ones; empty for fixed fibers
+        self.own = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
+        positioner, self.row = np.divmod(fibers, max(len(targets), 1))  # the row of ``near`` for each science fiber
+        self.is_fixed = positioner == after
+        _, place = np.unique(positioner[~self.is_fixed], return_inverse=True)
+        cells = place, np.flatnonzero(~self.is_fixed)
+        # science fibers of each positioner, as ones
+        self.group = csr_array((np.ones(len(place)), cells), shape=(int(place.max(initial=-1)) + 1, len(fibers)))
 
     def __len__(self):
         return len(self.row)
@@ -139,19 +108,14 @@ class Program:
     """
 
     def __init__(
-        self,
-        candidates: Candidates,
-        rows: np.ndarray,
-        others: np.ndarray,
-        edges: np.ndarray,
-        deadline: float = np.inf,
+        self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray, deadline: float = np.inf
     ):
         self.problem, self.candidates, self.candidate = candidates.problem, candidates, rows
         options = candidates.options
         self.target, self.own = options.target[rows], options.own[rows]
         self.index = np.full(len(options.own), -1)
         self.index[rows] = np.arange(len(rows))
-        self.spreads = [SpreadRows.of(candidates, one, rows, others) for one in candidates.spreads]
+        self.spreads = [SpreadRows(candidates, one, rows, others) for one in candidates.spreads]
         self.short = len(rows) + np.arange(len(self.problem.groups) + len(self.spreads))
         self.first = len(rows) + len(self.short) + np.cumsum([0, *map(len, self.spreads)])
         self.n = int(self.first[-1])

@@ -1,21 +1,20 @@
 """The options of an allocation, which are the same for plans of tiles, surveys, tilings and comparisons."""
 
-from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Collection, Iterable
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._methods import describe_methods
-from rfpsurvey._plugins import name_of
-from rfpsurvey._units import to_scalar
-from rfpsurvey.allocation._constraints import recorded
+from rfpsurvey._plugins import name_of, recorded_name
+from rfpsurvey._settings import Settings, option
+from rfpsurvey.allocation._constraints import listed_in, recorded
 from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._methods import DEFAULT_ALLOCATOR, METHODS, Allocator
-from rfpsurvey.allocation._plugin import find_allocator, find_improving
+from rfpsurvey.allocation._plugin import GROUP, find_allocator, find_improving, known_allocator
 from rfpsurvey.allocation._subpriority import TIE_SEED, check_seed
-from rfpsurvey.allocation._uses import given_options
 from rfpsurvey.constraints import (
     Constraint,
     Distribution,
@@ -30,32 +29,42 @@ from rfpsurvey.constraints import (
     circle_text,
     law_of,
 )
-from rfpsurvey.errors import (
-    InputError,
-    InputTypeError,
-    InputUnitsError,
-    brief,
-    check_choice,
-    check_keywords,
-    check_switch,
-    refusal,
-    short,
-    warn_no_effect,
-)
+from rfpsurvey.errors import InputError, check_keywords, refusal, warn_no_effect
 from rfpsurvey.region import Region
 
-SEPARATION = "sky_separation, the smallest distance between a sky position and any target, must be an angle on the sky "
-SEPARATION += "such as 10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
-ONLY_SOME = ("objective", "time_limit", "start", "moves")
+SEPARATION = "an angle on the sky such as 10 * u.arcsec, or a length on the focal plane such as 0.5 * u.mm"
+ONLY_SOME = ("objective", "time_limit", "start", "moves", "programs")
 """Options that have their default values in the record of a plan whose allocator does not use them."""
-# ``repr`` shortens lists of more than this number of values.
-MOST_SHOWN = 20
+INSTRUMENT, PLAN = "instrument", "an allocation"
+
+
+def _known_start(start: object) -> object:
+    if is_plan(start):
+        return start
+    if not isinstance(start, str):
+        raise refusal("start must be an Allocation, a Tile or the name of an allocator", start, str)
+    find_allocator(start, what="allocator to start with", known={k: v for k, v in METHODS.items() if not v.improves})
+    return start
+
+
+def _recorded_start(name: str) -> str:
+    if name == PLAN:
+        raise InputError("start must be given as an argument of from_record, because a record does not contain plans")
+    return name
+
+
+def _as_requirements(given: object) -> tuple[Requirement, ...] | str:
+    return given if isinstance(given, str) and given == INSTRUMENT else as_requirements(given)
+
+
+def _texts(values: Iterable) -> list[str]:
+    return recorded([*map(str, values)])
 
 
 @check_keywords
 @describe_methods(METHODS)
-@dataclass(frozen=True)
-class AllocationOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class AllocationOptions(Settings):
     """Options of an allocation: the allocator, and the constraints and requirements of each plan.
 
     Functions that accept these options as ``allocator`` also accept the name of an allocator or a function; all other
@@ -85,7 +94,8 @@ class AllocationOptions:
         ``optimal`` use this option.
     time_limit : Quantity, optional
         Time after which ``network_flow`` and ``optimal`` return the best plan that they have found, with its gap; 60 s
-        by default. The limit also applies if ``start`` is ``network_flow`` or ``optimal``.
+        by default. The limit also applies if ``start`` is ``network_flow`` or ``optimal``. ``optimal`` always makes the
+        whole plan of ``repair`` before it returns a plan without proof, which is therefore never worse.
     start : Allocation, Tile or str, optional
         Plan from which ``repair`` starts, or the name of the allocator that makes this plan (any except ``repair``). A
         tile can have other targets. ``optimal`` uses plans, but no names: of all plans of equal value, it returns the
@@ -128,6 +138,9 @@ class AllocationOptions:
         Moves of ``repair``: a positioner takes a better target, and up to four others take other targets (``ejection``)
         or one other takes an equally good target (``exchange``, which is faster, but loses targets where arms are long;
         plans of version 0.3).
+    programs : int, optional
+        Largest number of linear and integer programs that ``network_flow`` and ``optimal`` solve. In contrast to
+        ``time_limit``, which also applies, this limit gives the same plan on every computer.
 
     Raises
     ------
@@ -153,57 +166,51 @@ class AllocationOptions:
     ['cap 95.0 23.0 0.5']
     """
 
-    allocator: str | Callable = DEFAULT_ALLOCATOR
-    requirements: tuple[Requirement, ...] | list | str | Requirement | None = ()
-    sky_separation: u.Quantity[u.arcsec] | None = None
-    objective: str = "priority"
-    time_limit: u.Quantity[u.s] = field(default=60 * u.s)
-    start: object = "lamost_rule"
-    parked_obstacles: bool = True
-    required: np.ndarray | list | tuple | int | str | None = ()
-    keep_out: tuple[Region, ...] | list[Region] | Region | None = ()
-    subpriority: int | str | None = None
-    constraints: tuple[Constraint, ...] | list | Constraint | str | None = ()
-    rules: str | None = None
-    moves: str = "ejection"
+    allocator: str | Callable = option(
+        DEFAULT_ALLOCATOR,
+        convert=known_allocator,
+        to_record=name_of,
+        from_record=lambda name: recorded_name(GROUP, METHODS, name, "allocator"),
+    )
+    requirements: tuple[Requirement, ...] | list | str | Requirement | None = option(
+        (), convert=_as_requirements, to_record=lambda given: given if isinstance(given, str) else [*map(str, given)]
+    )
+    sky_separation: u.Quantity[u.arcsec] | u.Quantity[u.mm] | None = option(None, above=0, words=SEPARATION)
+    objective: str = option("priority", choices=("priority", "count"))
+    time_limit: u.Quantity[u.s] = option(60 * u.s, above=0)
+    start: object = option(
+        "lamost_rule",
+        convert=_known_start,
+        to_record=lambda start: start if isinstance(start, str) else PLAN,
+        from_record=_recorded_start,
+    )
+    parked_obstacles: bool = option(True)
+    required: np.ndarray | list | tuple | int | str | None = option(
+        (), convert=as_required, to_record=_texts, from_record=listed_in, by_record=True
+    )
+    keep_out: tuple[Region, ...] | list[Region] | Region | None = option(
+        (),
+        convert=as_circles,
+        to_record=lambda circles: _texts(map(circle_text, circles)),
+        from_record=lambda texts: [Region.parse(one) for one in listed_in(texts)],
+        by_record=True,
+    )
+    subpriority: int | str | None = option(
+        None, convert=lambda given: given if isinstance(given, str) else check_seed(given), sparse=True
+    )
+    constraints: tuple[Constraint, ...] | list | Constraint | str | None = option(
+        (), convert=as_constraints, to_record=_texts, from_record=listed_in, sparse=True
+    )
+    rules: str | None = option(None, words="the name of rules of the instrument", sparse=True)
+    moves: str = option("ejection", choices=("ejection", "exchange"), record=None)
+    programs: int | None = option(None, low=0, sparse=True)
 
-    def __post_init__(self):
-        find_allocator(self.allocator)
-        if not is_plan(self.start):
-            if not isinstance(self.start, str):
-                raise refusal("start must be an Allocation, a Tile or the name of an allocator", self.start, str)
-            starts = {name: one for name, one in METHODS.items() if not one.improves}
-            find_allocator(self.start, what="allocator to start with", known=starts)
-        for name, known in (("objective", ("priority", "count")), ("moves", ("ejection", "exchange"))):
-            check_choice(getattr(self, name), known, name)
-        to_scalar(self.time_limit, u.s, "time_limit", low=0)
-        if self.sky_separation is not None:
-            if not isinstance(self.sky_separation, u.Quantity):
-                raise InputTypeError(f"{SEPARATION}, got {short(self.sky_separation)} without a unit")
-            unit = self.sky_separation.unit
-            if not (_is_angle(self.sky_separation) or unit.is_equivalent(u.mm)):
-                raise InputUnitsError(f"{SEPARATION}, got {short(self.sky_separation)}")
-            to_scalar(self.sky_separation, unit, "sky_separation", low=0)
-        if not self._of_instrument:
-            object.__setattr__(self, "requirements", as_requirements(self.requirements))
-        object.__setattr__(self, "parked_obstacles", check_switch(self.parked_obstacles, "parked_obstacles"))
-        if not isinstance(self.rules, str | None):
-            raise refusal("rules must be the name of rules of the instrument", self.rules, str)
-        object.__setattr__(self, "required", as_required(self.required))
-        object.__setattr__(self, "keep_out", as_circles(self.keep_out))
-        self._shorten()
-        if not isinstance(self.subpriority, str | None):
-            object.__setattr__(self, "subpriority", check_seed(self.subpriority))
+    _order = (
+        *("allocator", "requirements", "sky_separation_arcsec", "sky_separation_mm", "objective", "time_limit_s"),
+        *("start", "parked_obstacles", "required", "keep_out", "constraints", "stars", "subpriority", "tie_seed"),
+    )
 
-    def __repr__(self):
-        changed = [f"{name}={_shown(getattr(self, name))}" for name in given_options(self)]
-        return f"AllocationOptions({', '.join([repr(self.name), *changed])})"
-
-    @property
-    def _of_instrument(self) -> bool:
-        return isinstance(self.requirements, str) and self.requirements == "instrument"
-
-    def _shorten(self) -> None:
+    def _check(self):
         """Move the constraints that have a short form to their short form, so that each constraint is stored once."""
         short = {
             KeepOut: ("keep_out", "circles", as_circles),
@@ -211,13 +218,17 @@ class AllocationOptions:
             Requirement: ("requirements", "counts", as_requirements),
         }
         others = []
-        for one in as_constraints(self.constraints):
+        for one in self.constraints:
             name, part, convert = short.get(type(one), ("", "", None))
             if name and not (name == "requirements" and self._of_instrument):
                 object.__setattr__(self, name, convert((*getattr(self, name), *getattr(one, part))))
             else:
                 others.append(one)
         object.__setattr__(self, "constraints", tuple(others))
+
+    @property
+    def _of_instrument(self) -> bool:
+        return isinstance(self.requirements, str)
 
     @cached_property
     def all_constraints(self) -> tuple[Constraint, ...]:
@@ -364,33 +375,25 @@ class AllocationOptions:
     @property
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
-        separation, unit = self.sky_separation, "arcsec" if _is_angle(self.sky_separation) else "mm"
-        return {
-            "allocator": self.name,
-            "requirements": self.requirements if self._of_instrument else [str(one) for one in self.requirements],
-            f"sky_separation_{unit}": None if separation is None else float(separation.to_value(unit)),
-            "objective": self.objective,
-            "time_limit_s": self.seconds,
-            "start": self.start if isinstance(self.start, str) else "an allocation",
-            "parked_obstacles": self.parked_obstacles,
-            "required": recorded([str(name) for name in self.required]),
-            "keep_out": recorded([circle_text(region) for region in self.keep_out]),
-            **({"constraints": recorded([str(one) for one in self.constraints])} if self.constraints else {}),
-            **({"stars": stars} if (stars := [one.content for one in self.constraints if one.content]) else {}),
-            **({} if self.subpriority is None else {"subpriority": self.subpriority}),
-            **({"tie_seed": TIE_SEED} if self.breaks_ties else {}),
-            **({} if self.moves == "exchange" or not self.method.uses("moves") else {"moves": self.moves}),
-        }
+        stars = [one.content for one in self.constraints if one.content]
+        found = super().record | ({"stars": stars} if stars else {})
+        found |= {"tie_seed": TIE_SEED} if self.breaks_ties else {}
+        found = {name: found[name] for name in self._order if name in found} | found
+        return found if self.moves == self._moves_without_record else found | {"moves": self.moves}
+
+    @property
+    def _moves_without_record(self) -> str:
+        """The moves if a record does not contain them: those of version 0.3, or the default if there are no moves."""
+        return "exchange" if self.method.uses("moves") else "ejection"
+
+    def _completed(self, record: dict, given: Collection[str]) -> "AllocationOptions":
+        moves = record.get("moves", self._moves_without_record)
+        return self if "moves" in given else replace(self, moves=moves)
 
 
 def as_options(given: object) -> AllocationOptions:
     """Return options; if only an allocator is given, return the default options with this allocator."""
     return given if isinstance(given, AllocationOptions) else AllocationOptions(given)
-
-
-def _shown(value: object) -> str:
-    """Return the text of a value, with only the first values of a long list."""
-    return f"({brief(value)})" if isinstance(value, tuple) and len(value) > MOST_SHOWN else repr(value)
 
 
 def _is_angle(value) -> bool:

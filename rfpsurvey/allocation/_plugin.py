@@ -20,7 +20,14 @@ from rfpsurvey.focal_plane import elbow_names
 GROUP = "rfpsurvey.allocators"
 """Entry-point group by which packages add allocators."""
 ELBOWS = ("right", "left")
-DECLARED = {field.name for field in fields(Allocator)} - {"name", "function", "breaks_ties", "plans_jointly"}
+DECLARED = {field.name for field in fields(Allocator)} - {
+    "name",
+    "function",
+    "breaks_ties",
+    "plans_jointly",
+    "is_random",
+    "rule",
+}
 """Fields of an `Allocator` that a function which is not built in can declare as attributes."""
 
 
@@ -34,6 +41,12 @@ def find_allocator(given: str | Callable, *, what: str = "allocator", known: dic
         for name in declared.get("options") or ():
             check_choice(name, OPTIONS, "option of an allocator")
         return Allocator(**{"name": plugin.name, "function": partial(_ask, plugin), "options": None, **declared})
+
+
+def known_allocator(allocator: object) -> object:
+    """Return the name of an allocator, or a function, unchanged; raise an error if the name is unknown."""
+    find_allocator(allocator)
+    return allocator
 
 
 def find_improving(given: str | Callable, start: object, moves: str) -> Allocator:

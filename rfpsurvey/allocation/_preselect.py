@@ -6,10 +6,28 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey._roles import has_role
-from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import obstacle_tests, touching
 from rfpsurvey.focal_plane import Reach
+
+
+def place_segments(
+    problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
+) -> np.ndarray:
+    """Return the segments, shape (4, n), that represent the arms of positioners in tests for collisions.
+
+    Each fiber is at its target. ``own``, ``target`` and ``side`` contain the row of the positioner, the row of the
+    target, and the elbow (+1: right, -1: left) for each segment. ``idle`` contains the indices of the segments of idle
+    arms, one for each positioner of the focal plane; the targets of these segments are ignored.
+    """
+    columns = problem.focal_plane.arrays
+    # the row -1 of idle arms is clipped to 0
+    points = problem.xy.take(target, axis=0, mode="clip") if len(problem.xy) else np.full((len(own), 2), np.nan)
+    segments = columns.segments_of(own, problem.fiber_of(own, target), points, side)
+    if idle is not None:
+        segments[:, idle] = columns.idle_segments(problem.parked_obstacles)
+    return segments
+
 
 # Each positioner keeps at least its N_BEST best targets, and N_SPREAD further targets of the same class as the last of
 # the best targets.
@@ -50,7 +68,7 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     """
     plane, reach = problem.focal_plane, problem.pairs
     if collide and problem.motion is not None:
-        reach = problem.motion.reachable(problem, reach)
+        reach = problem.motion.reachable(reach)
     n, n_rivals = reach.n_positioners, plane.arrays.n_sharing
     n_best, n_spread = (N_BEST, N_SPREAD) if collide else (0, 0)
     count = np.bincount(reach.owner, minlength=n)
@@ -60,13 +78,24 @@ def preselect(problem: AllocationProblem, *, collide: bool, keep_target: np.ndar
     most, n_spread = np.maximum(n_rivals + 1, n_best // n_codes), n_spread // n_codes
     if collide:
         reach = _without_obstacles(problem, reach, count > most + n_spread)
-    keep, shortened = np.empty(len(reach.owner), dtype=bool), np.empty(n * n_codes, dtype=bool)
+    return _select(problem, reach, most, code, n_codes, n_spread, keep_target)
+
+
+def best_pairs(problem: AllocationProblem, most: int) -> Reach:
+    """Return the reachable pairs of each positioner and its ``most`` best targets."""
+    reach, code = problem.pairs, np.zeros(len(problem.xy), dtype=np.int64)
+    return _select(problem, reach, np.full(reach.n_positioners, most), code, 1, 0, None).reach
+
+
+def _select(problem, reach, most, code, n_codes, n_spread, keep_target) -> Preselection:
+    """Return the ``most`` best targets of each positioner for each code, and ``n_spread`` further targets."""
+    keep, shortened = np.empty(len(reach.owner), dtype=bool), np.empty(len(most) * n_codes, dtype=bool)
     start = np.concatenate([[0], np.cumsum(np.repeat(most, n_codes))])
-    wanted = np.full(n, -1) if keep_target is None else keep_target
+    wanted = np.full(len(most), -1) if keep_target is None else keep_target
     n_kept = kernels.select_pairs(
         reach.indptr, reach.owner, reach.r2, problem.rank, code, n_codes, start, n_spread, wanted, keep, shortened
     )
-    return Preselection(reach.where(keep), code, shortened.reshape(n, n_codes), len(keep) - n_kept)
+    return Preselection(reach.where(keep), code, shortened.reshape(-1, n_codes), len(keep) - n_kept)
 
 
 def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):

@@ -9,8 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from rfpsurvey._kernels import prices as kernels
-from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._cliques import cover
+from rfpsurvey.allocation._candidates import Candidates, cover
 from rfpsurvey.allocation._clock import left
 from rfpsurvey.allocation._problem import AllocationProblem
 

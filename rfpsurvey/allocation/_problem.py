@@ -13,7 +13,7 @@ from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
 from rfpsurvey.allocation._distribution import is_possible, lack_of
 from rfpsurvey.allocation._motion import Motion
-from rfpsurvey.constraints import Distribution, Group, Requirement, Shortfall, hint_of_name
+from rfpsurvey.constraints import CountedTargets, Distribution, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 
@@ -23,7 +23,7 @@ def _no_start() -> AllocationAnswer:
 
 
 @dataclass(frozen=True, eq=False)
-class AllocationProblem:
+class AllocationProblem(CountedTargets):
     """Targets on a focal plane, their priorities, and the options of the plan, as read-only arrays; lengths are in mm.
 
     Every allocator, built in or from another package, is a function that takes an `AllocationProblem` and returns an
@@ -109,17 +109,11 @@ class AllocationProblem:
     motion: Motion | None = None
 
     def __post_init__(self):
-        n = len(self.xy)
         if self.deadline is None:
             object.__setattr__(self, "deadline", now() + self.time_limit)
-        if self.subpriority is not None:
-            object.__setattr__(self, "subpriority", locked(self.subpriority))
-        usual = {"kind": "science", "category": "", "fiber_type": "", "is_required": False}
-        for name in ("xy", "rank", *usual):
-            value = getattr(self, name)
-            # the default column repeats one value and uses no memory
-            value = np.broadcast_to(np.array(usual[name]), n) if value is None else locked(value)
-            object.__setattr__(self, name, value)
+        for name in ("xy", "rank", *(["subpriority"] if self.subpriority is not None else [])):
+            object.__setattr__(self, name, locked(getattr(self, name)))
+        self._complete(is_required=False)
 
     @cached_property
     def reachable(self) -> "scipy.sparse.csr_array":
@@ -159,20 +153,10 @@ class AllocationProblem:
         """Whether at least one target is required."""
         return bool(self.is_required.any())
 
-    @property
-    def several_fiber_types(self) -> bool:
-        """Whether the fiber types that the targets require are given."""
-        return self.fiber_type.strides != (0,)
-
     @cached_property
     def science(self) -> np.ndarray:
         """Whether each target is a science target, shape (n_targets,)."""
         return self.rank < len(self.classes)
-
-    @cached_property
-    def groups(self) -> list[Group]:
-        """Groups of targets and fibers that count toward one requirement each, per tile or per spectrograph."""
-        return [group for one in self.requirements for group in one.groups(self)]
 
     @cached_property
     def distributions(self) -> tuple[Distribution, ...]:
@@ -201,48 +185,6 @@ class AllocationProblem:
         if len(self.rank) == 0:
             return np.full(np.shape(target), last)
         return np.where(np.asarray(target) >= 0, self.rank.take(target, mode="clip"), last)
-
-    @cached_property
-    def _fiber_index(self) -> np.ndarray:
-        """Index of the fiber type that each target requires (-1: any type); the last element stands for "no target"."""
-        index = {name: k for k, name in enumerate(self.focal_plane.fiber_types)}
-        names, inverse = np.unique(self.fiber_type, return_inverse=True)
-        return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
-
-    def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the index of the fiber type with which each positioner observes its target.
-
-        Parameters
-        ----------
-        own, target : ndarray of int, shape (k,)
-            Rows of positioners and of their targets.
-
-        Returns
-        -------
-        ndarray of int, shape (k,)
-            Indices of ``focal_plane.fiber_types``.
-        """
-        first = self.focal_plane.arrays.first_index[own]
-        if not self.several_fiber_types:
-            return first
-        code = self._fiber_index[target]
-        return np.where(code < 0, first, code)
-
-    def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
-        """Return the spectrograph that receives the light of each target through the fiber of its positioner.
-
-        Parameters
-        ----------
-        own, target : ndarray of int, shape (k,)
-            Rows of positioners and of their targets.
-
-        Returns
-        -------
-        ndarray of int, shape (k,)
-            Number of the spectrograph for each pair of a positioner and its target.
-        """
-        table = self.focal_plane.spectrograph
-        return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
 
     def only(self, targets: np.ndarray) -> Reach:
         """Return the reachable pairs (positioner, target) of the marked targets.
@@ -309,23 +251,6 @@ class AllocationProblem:
         """
         return dict(zip(self.level_names, self.level_values(target_of).tolist(), strict=True))
 
-    def counts_of(self, target_of: np.ndarray) -> list[int]:
-        """Return the number of fibers of a plan that count toward each group of ``groups``.
-
-        Parameters
-        ----------
-        target_of : ndarray of int, shape (n_positioners,)
-            Target of each positioner, or -1 if it has no target.
-
-        Returns
-        -------
-        list of int
-            One number for each group.
-        """
-        own = np.flatnonzero(target_of >= 0)
-        place = self.spectrograph_of(own, target_of[own])
-        return [int(group.holds(target_of[own], place, own).sum()) for group in self.groups]
-
     def meets_requirements(self, target_of: np.ndarray, slack: float = 0.0) -> bool:
         """Return whether a plan meets all requirements.
 
@@ -348,7 +273,7 @@ class AllocationProblem:
         return True
 
     def shortfalls(self, target_of: np.ndarray) -> list[Shortfall]:
-        """Return the requirements that a plan does not meet.
+        """Return the requirements that a plan does not meet, and the required targets without a fiber.
 
         Parameters
         ----------
@@ -360,35 +285,26 @@ class AllocationProblem:
         list of Shortfall
             The requirements that are not met, with the required number and the actual number of targets.
         """
-        found = []
-        for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
-            one = group.requirement
-            if n < one.minimum or (one.maximum is not None and n > one.maximum):
-                limit, possible = one.minimum if n < one.minimum else one.maximum, self._possible(group)
-                hint = self._hint(group, possible) if n < one.minimum else ""
-                found.append(Shortfall(one, group.spectrograph, limit, n, possible, hint, group.place))
-        used = target_of[target_of >= 0]
+        found, used = super().shortfalls(target_of), target_of[target_of >= 0]
         if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
             possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
             found.append(Shortfall(None, None, int(self.is_required.sum()), n, possible))
         return found
 
-    def _hint(self, group: Group, possible: int) -> str:
-        """Return the reason why a minimum is not met: an unknown name or too few fibers; otherwise, empty text."""
-        if group.targets.any():
-            asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
-            text = f"all requirements together need {asked} fibers, but only {there} fibers are usable"
-            return text if asked > there and possible >= group.requirement.minimum else ""
-        return hint_of_name(group.requirement.what, np.unique(self.category).tolist())
-
-    def _possible(self, group: Group) -> int:
-        """Return the number of targets of a group that are in reach of the fibers of the group."""
+    def _prospects(self, group: Group, n: int, limit: int) -> tuple[int, str]:
         own, target = self.pairs.owner, self.pairs.target
-        n = len(np.unique(target[group.holds(target, self.spectrograph_of(own, target), own)]))
+        possible = len(np.unique(target[group.holds(target, self.spectrograph_of(own, target), own)]))
         if self.watched is not None:
             stuck = np.flatnonzero(self.watched >= 0)
-            n += int(group.holds(self.watched[stuck], self.spectrograph_of(stuck, self.watched[stuck]), stuck).sum())
-        return n
+            place = self.spectrograph_of(stuck, self.watched[stuck])
+            possible += int(group.holds(self.watched[stuck], place, stuck).sum())
+        if n >= group.requirement.minimum:
+            return possible, ""
+        if not group.targets.any():
+            return possible, hint_of_name(group.requirement.what, np.unique(self.category).tolist())
+        asked, there = sum(g.requirement.minimum for g in self.groups), int(self.focal_plane.arrays.usable.sum())
+        text = f"all requirements together need {asked} fibers, but only {there} fibers are usable"
+        return possible, text if asked > there and possible >= group.requirement.minimum else ""
 
 
 def with_watched(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:

@@ -6,10 +6,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey.allocation._allocation import Allocation
-from rfpsurvey.allocation._arms import place_segments
 from rfpsurvey.allocation._candidates import find_conflicts, list_candidates, obstacle_hits
 from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.allocation._options import AllocationOptions
+from rfpsurvey.allocation._preselect import place_segments
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.collision import Arms, joined, plan_moves
 from rfpsurvey.constraints import Motion as MotionConstraint
@@ -126,19 +126,16 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     for name, number in (("allocation", len(allocation.target_of_positioner)), ("arms", len(arms.segments))):
         if number != n:
             raise InputError(f"{name} must have the {n} positioners of the focal plane, got {number} positioners")
-    idle = np.flatnonzero(allocation.target_of_positioner < 0)
-    is_idle = np.zeros(n, dtype=bool)
-    is_idle[idle] = True
-    types = allocation.target_fiber_type
-    xy = allocation.xy_mm[:given]
-    reach = focal_plane.arrays.reach(xy, None if types is None else types[:given])
+    is_idle = allocation.target_of_positioner < 0
+    types = None if allocation.target_fiber_type is None else allocation.target_fiber_type[:given]
+    reach = focal_plane.arrays.reach(allocation.xy_mm[:given], types)
     reach = reach.where(is_idle[reach.owner])
     if allocation.excluded is not None:
         reach = reach.where(~allocation.excluded[reach.target])
     n_in_reach = np.bincount(reach.owner, minlength=n)
     reach = reach.where(allocation.positioner_of_target[reach.target] < 0)
     n_free = np.bincount(reach.owner, minlength=n)
-    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach, law)
+    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach, types, law)
     possible = np.zeros(n, dtype=bool)
     possible[owner[[not others for others in blocked_by]]] = True
     reason = np.full(n, IdleReason.ALL_FREE_TARGETS_COLLIDE)
@@ -147,10 +144,12 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     reason[possible] = IdleReason.FREE_TARGET
     reason[focal_plane.arrays.is_stuck] = IdleReason.STUCK
     reason[focal_plane.disabled] = IdleReason.DISABLED
-    return IdleReasons(idle, reason[idle], n_in_reach[idle], n_free[idle], owner, target, blocked_by)
+    return IdleReasons(
+        np.flatnonzero(is_idle), reason[is_idle], n_in_reach[is_idle], n_free[is_idle], owner, target, blocked_by
+    )
 
 
-def _attempts(plane, allocation, arms, reach, law):
+def _attempts(plane, allocation, arms, reach, types, law):
     """Return the positioner, the target, and the colliding arms and obstacles of each attempt."""
     problem = AllocationProblem(
         plane,
@@ -158,7 +157,7 @@ def _attempts(plane, allocation, arms, reach, law):
         reach,
         np.zeros(allocation.n_given, dtype=np.int64),
         (0.0,),
-        fiber_type=None if allocation.target_fiber_type is None else allocation.target_fiber_type[: allocation.n_given],
+        fiber_type=types,
         options=AllocationOptions(
             parked_obstacles=allocation.parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
         ),
@@ -174,9 +173,9 @@ def _attempts(plane, allocation, arms, reach, law):
     if law:
         motion, same = Motion(problem), law == "same_speed"
         planned = plan_moves(plane, arms, law, allocation.parked_obstacles)
-        moves = joined(motion.moves(problem, own, target, side, now), now, planned, np.arange(len(plane)))
-        hits = np.concatenate([hits, motion.obstacle_hits(problem, own, moves)])
-        for k in np.flatnonzero(~motion.turns(problem, own, moves) & is_moved):
+        moves = joined(motion.moves(own, target, side, now), now, planned, np.arange(len(plane)))
+        hits = np.concatenate([hits, motion.obstacle_hits(own, moves)])
+        for k in np.flatnonzero(~motion.turns(own, moves) & is_moved):
             others = plane.arrays.neighbors[(plane.arrays.neighbors == own[k]).any(axis=1)].ravel()
             blocked_by[k] += others[~plane.arrays.usable[others]].tolist()
         moves = moves, same

@@ -5,42 +5,33 @@ from functools import partial
 
 import numpy as np
 
-from rfpsurvey._kernels import allocation as rules
 from rfpsurvey._kernels import conflicts
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates, find_candidates, reduced
-from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
+from rfpsurvey.allocation._clock import OutOfTimeError, left, now, seconds_until, share
 from rfpsurvey.allocation._clusters import bound_by_clusters, improve_by_clusters
-from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_plans import (
     AT_LEAST,
+    LOCAL,
     MOST_PAIRS,
     Found,
     Repaired,
+    answer_of,
     better_of,
     local_optimum,
     plan_of,
     repaired_plan,
-    unproven,
     values_of,
 )
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey.allocation._methods import lamost_rule, with_cost
 from rfpsurvey.allocation._milp import Program
-from rfpsurvey.allocation._objectives import (
-    conditional_bounds,
-    is_sum_maximized,
-    levels_of,
-    matching_limits,
-    offset_of,
-    with_subpriorities,
-    with_used_classes,
-)
+from rfpsurvey.allocation._objectives import conditional_bounds, matching_limits, offset_of, with_used_classes
+from rfpsurvey.allocation._preselect import best_pairs
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.allocation._subpriority import TIE_SEED
-from rfpsurvey.focal_plane import Reach, elbow_names
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
@@ -59,8 +50,9 @@ LATE, LONG = 0.1, 12
 # A plan without the requirements is searched, for a fraction of the time limit, if the plan of ``lamost_rule`` misses
 # them by less than the fraction NEARLY.
 FOR_FREE, NEARLY = 0.5, 0.1
-# Fractions of the remaining time in which unnecessary candidates are removed, and in which collisions are repaired.
-FOR_REDUCTION, FOR_REPAIR = 0.25, 0.5
+# Fractions of the remaining time in which unnecessary candidates are removed, in which collisions are repaired, and in
+# which the plan of ``repair`` is moved to the remaining candidates after the search.
+FOR_REDUCTION, FOR_REPAIR, FOR_BETTER = 0.25, 0.5, 0.25
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
 FOR_LAST = 0.1
 # If it takes too long to find all collisions, only the best targets of each positioner are used. These numbers of best
@@ -80,8 +72,7 @@ def decide(
 ) -> AllocationAnswer:
     """Return the best plan found within the time limit, with bounds; if ``collide`` is true, arms must not collide.
 
-    If ``collide`` is true, the plan is at least as good as the plan of ``repair``, provided that the time limit is long
-    enough for ``repair``.
+    If ``collide`` is true, the plan is at least as good as the plan of ``repair``.
     """
     given, deadline = problem, problem.deadline
     if collide and problem.groups:
@@ -104,18 +95,18 @@ def decide(
         found = local_optimum(given, everything)
     is_large = whole and len(everything) > LARGEST
     if collide and (is_long or is_late or is_large) and found is None:
-        repaired = repaired_plan(given, everything, whole)
+        repaired = repaired_plan(given, everything)
         if left(deadline) < spent:
-            found = unproven(everything, repaired)
+            plan, _ = plan_of(everything, repaired, np.inf)
+            values = values_of(everything, plan)
+            found = Found(plan, values, np.full(len(values), np.inf), LOCAL)
     n_left_out = everything.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    is_searched = found is None
+    used, is_searched = everything, found is None
     if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
         used, found = _search(everything, end, collide=collide, repaired=repaired, **options)
-    else:
-        used = everything
     chosen, bounds, bounding = found.chosen, found.bounds, used
     meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
     proven = found.values >= bounds
@@ -132,26 +123,17 @@ def decide(
         limits = matching_limits(problem, everything if whole else None)
         if collide:
             if repaired is None:
-                repaired = repaired_plan(given, everything, whole)
-            used, chosen = better_of(used, chosen, everything, repaired, deadline)
+                repaired = repaired_plan(given, everything)
+            used, chosen = better_of(used, chosen, everything, repaired, share(deadline, FOR_BETTER))
             chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
         bounds = np.minimum(bounds, conditional_bounds(problem, values, limits, first))
     # The preselection for plans without collisions may omit targets of lower cost than those that it keeps.
     least = found.least if whole and proven.all() and not (collide and n_left_out) else 0.0
-    if collide and everything.idle_pairs.size:
-        used, chosen = everything, _chosen_in(everything, used, chosen)
-        chosen = separate_idle_arms(
-            everything, chosen, max(deadline, now() + AT_LEAST), keep_cost=is_sum_maximized(given)
-        )
-    target_of, side = used.options.target[chosen], used.side[chosen]
-    if repaired is not None and tuple(problem.level_values(repaired.target_of)) > tuple(values):
-        # the plan of ``repair`` uses a candidate that was left out
-        target_of, side = repaired
-        values = problem.level_values(target_of)
-    levels = levels_of(given, offset_of(problem), kept, values, np.maximum(bounds, values))
-    levels = with_subpriorities(given, levels, target_of, least)
-    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
+    if used is not everything and collide and everything.idle_pairs.size:
+        found = pick(everything, used.options.target[chosen], used.side[chosen])
+        used, chosen = everything, np.where(found < 0, everything.options.start[1:] - 1, found)
+    return answer_of(given, problem, used, chosen, repaired, kept, lambda _: bounds, least, meta)
 
 
 def _without_requirements(problem, **options):
@@ -159,11 +141,7 @@ def _without_requirements(problem, **options):
 
     Requirements that are met anyway therefore have no influence on which of several equally good plans is returned.
     """
-    free = replace(
-        problem,
-        options=problem.options.without("counts"),
-        deadline=share(problem.deadline, FOR_FREE),
-    )
+    free = replace(problem, options=problem.options.without("counts"), deadline=share(problem.deadline, FOR_FREE))
     if not problem.meets_requirements(lamost_rule(free).target_of_positioner, NEARLY):
         return None
     answer = decide(free, collide=True, **options)
@@ -185,39 +163,17 @@ def _candidates_in_time(problem, *, collide, squared_cost):
     for most in (None, *FEWER):
         last = most == FEWER[-1]
         sorting = 0.0 if most is None else (PAIR_SECONDS + SORT_SECONDS * most) * len(problem.pairs.owner)
-        if not last and sorting > FOR_CANDIDATES * left(deadline):
+        seconds = FOR_CANDIDATES * seconds_until(deadline)
+        if not last and sorting > seconds:
             continue
-        some = problem if most is None else replace(problem, pairs=_best_pairs(problem, most))
-        limits = {} if last else {"seconds": max(FOR_CANDIDATES * left(deadline), AT_LEAST), "most_pairs": MOST_PAIRS}
+        some = problem if most is None else replace(problem, pairs=best_pairs(problem, most))
+        limits = {} if last else {"seconds": max(seconds, AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
             found = find_candidates(some, squared_cost=squared_cost, **limits)
         except OutOfTimeError:
             continue
         return found, most is None
     raise AssertionError
-
-
-def _best_pairs(problem, most):
-    """Return the reachable pairs of each positioner and its ``most`` best targets."""
-    reach = problem.pairs
-    n = reach.n_positioners
-    start, count = np.arange(n + 1) * most, np.empty(n, dtype=np.int64)
-    target, r2 = np.empty(n * most, dtype=np.int64), np.empty(n * most)
-    rules.list_best(reach.indptr, reach.owner, reach.r2, problem.rank, False, start, count, target, r2)
-    own = np.repeat(np.arange(n), most)
-    kept = np.arange(n * most) - start[own] < count[own]
-    own, target, r2 = own[kept], target[kept], r2[kept]
-    order = np.argsort(target, kind="stable")
-    indptr = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=len(problem.rank)))])
-    return Reach(indptr, own[order], r2[order], n)
-
-
-def _chosen_in(everything, used, chosen):
-    """Convert the chosen candidates from indices in ``used`` to indices in the list of all candidates."""
-    if used is everything:
-        return chosen
-    found = pick(everything, used.options.target[chosen], used.side[chosen])
-    return np.where(found < 0, everything.options.start[1:] - 1, found)
 
 
 def _refine(used, chosen, bounding, first, bounds, limits, deadline):
@@ -277,7 +233,7 @@ def _search(everything: Candidates, deadline: float, *, collide: bool, repaired:
     # the plan of ``repair`` is not improved again
     start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, now())[0]
     found = _solve(used, blind, start, deadline, collide=collide, **options)
-    if not found.complete:
+    if found.chosen is None:
         chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
         return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
     if (found.values < found.bounds).any() and collide and (found.chosen != start).any():
@@ -334,7 +290,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return Found(chosen, values, bounds, complete, meta, least)
+    return Found(chosen if complete else None, values, bounds, meta, least)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:

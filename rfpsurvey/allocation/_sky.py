@@ -33,7 +33,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
     # A van der Corput sequence: for every k, the first k points are spread evenly.
     k = np.arange(N_TRIALS)
     fraction = (sum((k >> b & 1) / (2 << b) for b in range(6)) + 0.5 / N_TRIALS).astype(float)
-    parts = []
+    parts, taken = [], np.zeros(len(plane), dtype=bool)
     for name in fiber_types:
         able = np.array([name == "" or name in row.split("+") for row in plane.fiber_type.tolist()])
         own = np.flatnonzero(able & plane.arrays.usable)
@@ -41,39 +41,23 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         out = np.empty(room, dtype=np.int64), np.empty(room), np.empty(room)
         fiber = None if name == "" else np.full(len(plane), plane.fiber_types.index(name))
         columns = plane.arrays.using(fiber)
-        n = gaps.find_gaps(
-            own,
-            cx,
-            cy,
-            *columns.edges,
-            fraction,
-            N_KEPT,
-            separation,
-            x,
-            y,
-            grid,
-            *out,
-        )
+        n = gaps.find_gaps(own, cx, cy, *columns.edges, fraction, N_KEPT, separation, x, y, grid, *out)
         own, px, py = (column[:n] for column in out)
         spots = np.column_stack([px, py])
         keep = ~columns.is_hidden(spots)
         if not columns.poses_free:
             keep &= columns.poses_allowed(own, spots, columns.sides(spots, own))
         own, spots = own[keep], spots[keep]
-        # A stuck fiber that is also broken observes nothing. The position is known only for the first fiber type.
-        seeing = plane.arrays.is_stuck & ~plane.disabled
+        # A stuck fiber observes one position, which is known only for its first fiber type. If it is also broken, it
+        # observes nothing.
+        seeing = plane.arrays.is_stuck & ~plane.disabled & ~taken
         fixed = np.flatnonzero(seeing & ((name == "") | (plane.arrays.first_type == name)))
         seen = plane.arrays.idle(False).segments[2:, fixed].T
         clear = np.array([gaps.is_clear(*p, separation, x, y, *grid) for p in seen], dtype=bool)
-        parts += [(own, spots, name, False), (fixed[clear], seen[clear], name, True)]
-    taken, columns = np.zeros(len(plane), dtype=bool), []
-    for own, spots, name, stuck in parts:
-        keep = ~taken[own] if stuck else np.ones(len(own), dtype=bool)  # a stuck fiber observes one position
-        if stuck:
-            taken[own] = True
-        n = int(keep.sum())
-        columns.append((own[keep], spots[keep], np.full(n, name), np.full(n, stuck)))
-    return Sky(*(np.concatenate(c) for c in zip(*columns, strict=True)))
+        taken[fixed[clear]] = True
+        for rows, points_of, stuck in ((own, spots, False), (fixed[clear], seen[clear], True)):
+            parts.append((rows, points_of, np.full(len(rows), name), np.full(len(rows), stuck)))
+    return Sky(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
 
 def with_sky(
@@ -93,40 +77,29 @@ def with_sky(
         allowed = ~excludes(sky.points, None if plane.fiber_types == ("",) else sky.wanted)
         sky = Sky(*(column[allowed] for column in sky))
     own, points, wanted, stuck = sky
-    k = len(own)
-    reach = problem.pairs
-    usable = ~stuck
-    r2 = ((points - plane.arrays.xy[own]) ** 2).sum(axis=1)[usable]
-    more = np.cumsum(usable)
-    watched = np.full(len(plane), -1)
-    watched[own[stuck]] = n + np.flatnonzero(stuck)
-    columns = {
-        "xy": np.concatenate([problem.xy, points]),
-        "pairs": Reach(
-            np.concatenate([reach.indptr, reach.indptr[-1] + more]),
-            np.concatenate([reach.owner, own[usable]]),
-            np.concatenate([reach.r2, r2]),
-            len(plane),
-        ),
-        "rank": np.concatenate([problem.rank, np.full(k, len(problem.classes))]),
-        "kind": np.concatenate([problem.kind, np.full(k, "sky", dtype="U8")]),
-        "watched": watched if stuck.any() else None,
-        "category": None,
-        "is_required": None,
-        "fiber_type": None,
-    }
+    k, usable = len(own), ~stuck
+    added = {"xy": points, "rank": np.full(k, len(problem.classes)), "kind": np.full(k, "sky", dtype="U8")}
     if problem.category.strides != (0,):
         # The category of the positions is "sky" only if targets have this category; otherwise, only the kind is "sky".
-        name = "sky" if np.any(problem.category == "sky") else ""
-        columns["category"] = np.concatenate([problem.category, np.full(k, name)])
+        added["category"] = np.full(k, "sky" if np.any(problem.category == "sky") else "")
     if problem.any_required:
-        columns["is_required"] = np.concatenate([problem.is_required, np.zeros(k, dtype=bool)])
+        added["is_required"] = np.zeros(k, dtype=bool)
     if problem.subpriority is not None:
-        columns["subpriority"] = np.append(problem.subpriority, np.full(k, problem.subpriority.min(initial=0.0)))
+        added["subpriority"] = np.full(k, problem.subpriority.min(initial=0.0))
     if plane.fiber_types != ("",):  # any fiber can observe a position without a type: the first one of its positioner
-        wanted = np.where(wanted == "", plane.arrays.first_type[own], wanted)
-        columns["fiber_type"] = np.concatenate([problem.fiber_type, wanted])
-    return replace(problem, **columns)
+        added["fiber_type"] = np.where(wanted == "", plane.arrays.first_type[own], wanted)
+    columns = dict.fromkeys(("category", "is_required", "fiber_type"))
+    columns |= {name: np.concatenate([getattr(problem, name), values]) for name, values in added.items()}
+    reach, r2 = problem.pairs, ((points - plane.arrays.xy[own]) ** 2).sum(axis=1)
+    pairs = Reach(
+        np.concatenate([reach.indptr, reach.indptr[-1] + np.cumsum(usable)]),
+        np.concatenate([reach.owner, own[usable]]),
+        np.concatenate([reach.r2, r2[usable]]),
+        len(plane),
+    )
+    watched = np.full(len(plane), -1)
+    watched[own[stuck]] = n + np.flatnonzero(stuck)
+    return replace(problem, pairs=pairs, watched=watched if stuck.any() else None, **columns)
 
 
 def _bin(plane, x, y, separation):

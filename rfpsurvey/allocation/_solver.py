@@ -7,7 +7,7 @@ from time import perf_counter
 import numpy as np
 from scipy.sparse import csr_array, vstack
 
-from rfpsurvey.allocation._clock import left, now, stop
+from rfpsurvey.allocation._clock import count_program, left, now, stop
 
 # Interval in seconds at which the caller checks for an interrupt while HiGHS runs in a different thread.
 INTERVAL = 0.1
@@ -71,6 +71,7 @@ def maximize(
     """
     if left(deadline) == 0:
         return None, np.inf
+    count_program()
     solver = _solver(rows, goal, most, integral=integral)
     solver.setOptionValue("time_limit", min(left(deadline), 1e9))
     solver.setOptionValue("mip_rel_gap", gap)

@@ -8,25 +8,15 @@ import numpy as np
 from rfpsurvey.allocation import _search
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._clock import OutOfTimeError, left, now, share
+from rfpsurvey.allocation._clock import OutOfTimeError, left, share
 from rfpsurvey.allocation._clusters import improve_by_clusters, improve_members, program_of, upper_of_part
 from rfpsurvey.allocation._distribution import lost_to_rules
-from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._lexicographic import Solution, pursue
-from rfpsurvey.allocation._local_plans import AT_LEAST, LOCAL, plan_of, repaired_plan, values_of
+from rfpsurvey.allocation._local_plans import LOCAL, answer_of, plan_of, repaired_plan, values_of
 from rfpsurvey.allocation._local_search import pick, repair_collisions, stand
 from rfpsurvey.allocation._methods import with_cost
-from rfpsurvey.allocation._objectives import (
-    conditional_bounds,
-    is_sum_maximized,
-    levels_of,
-    matching_limits,
-    offset_of,
-    with_subpriorities,
-    with_used_classes,
-)
+from rfpsurvey.allocation._objectives import conditional_bounds, matching_limits, offset_of, with_used_classes
 from rfpsurvey.allocation._problem import AllocationProblem
-from rfpsurvey.focal_plane import elbow_names
 
 # Fractions of the remaining time: for the problem without the rules, for the plan with the same science targets, for
 # clusters before the integer program of all positioners, and for this program.
@@ -69,7 +59,7 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
     given, deadline = problem, problem.deadline
     problem = with_cost(problem)
     everything, whole = _search._candidates_in_time(problem, collide=True, squared_cost=squared_cost)
-    repaired = repaired_plan(given, everything, whole)
+    repaired = repaired_plan(given, everything)
     problem, everything, kept = with_used_classes(problem, everything)
     offset = offset_of(given)
     rows = np.concatenate([np.arange(offset), offset + kept, np.arange(offset + len(given.classes), len(values))])
@@ -97,19 +87,10 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
                 least = found.least if (found.values >= found.bounds).all() else 0.0
         if not is_best(chosen):
             chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper, SIZE)
-    if everything.idle_pairs.size:
-        chosen = separate_idle_arms(
-            everything, chosen, max(deadline, now() + AT_LEAST), keep_cost=is_sum_maximized(given)
-        )
-    target_of, side = everything.options.target[chosen], everything.side[chosen]
-    if tuple(problem.level_values(repaired.target_of)) > tuple(values_of(everything, chosen)):
-        target_of, side = repaired  # this plan uses a candidate that was left out
-    values = problem.level_values(target_of)
-    levels = levels_of(given, offset, kept, values, np.maximum(upper(values), values))
-    levels = with_subpriorities(given, levels, target_of, least)
     meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
-    meta["n_lost_to_rules"] = lost_to_rules(given, free.target_of_positioner, target_of)
-    return AllocationAnswer(target_of, elbow_names(side), None, levels, meta)
+    answer = answer_of(given, problem, everything, chosen, repaired, kept, upper, least, meta)
+    meta["n_lost_to_rules"] = lost_to_rules(given, free.target_of_positioner, answer.target_of_positioner)
+    return answer
 
 
 def _first_plans(everything: Candidates, free: AllocationAnswer, upper, is_best, deadline: float) -> list[np.ndarray]:

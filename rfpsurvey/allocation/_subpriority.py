@@ -73,7 +73,7 @@ def subpriorities(ids: np.ndarray, seed: int) -> np.ndarray:
         raise InputError(f"ids must be integers or text, shape (n,), got {ids.dtype.name} of shape {ids.shape}")
     if ids.dtype.kind == "S":
         ids = np.char.decode(ids, "utf-8")
-    return _of_numbers(id_numbers(ids), check_seed(seed))
+    return subpriorities_of(id_numbers(ids), check_seed(seed))
 
 
 def check_seed(seed: object) -> int:
@@ -85,7 +85,8 @@ def check_seed(seed: object) -> int:
     return int(seed)
 
 
-def _of_numbers(numbers, seed):
+def subpriorities_of(numbers: np.ndarray, seed: int) -> np.ndarray:
+    """Return the subpriorities of the targets with given `id_numbers`; the seed is not checked."""
     out = np.empty(len(numbers))
     hashing.uniforms(numbers, np.uint64(seed), out)
     return out
@@ -114,7 +115,7 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
         If there is no such column, or if it does not contain one finite number per target.
     """
     if not isinstance(given, str):
-        return _of_numbers(id_numbers(ids), given)
+        return subpriorities_of(id_numbers(ids), given)
     if given not in (extra or {}):
         raise InputError(
             f"subpriority must be a seed or the name of an additional column that was read from the catalog by keep= "
@@ -133,13 +134,13 @@ def check_values(values: object, n: int, what: str) -> np.ndarray:
     return check_one_each(numbers, n, what)
 
 
-def check_one_each(numbers: np.ndarray, n: int, what: str) -> np.ndarray:
-    """Return numbers unchanged; raise an error unless each target has a finite number."""
-    if numbers.shape != (n,):
-        raise InputError(f"{what} must have one value per target, shape ({n},), got {numbers.shape}")
-    if (lacking := ~np.isfinite(numbers)).any():
+def check_one_each(values: np.ndarray, n: int, what: str) -> np.ndarray:
+    """Return numbers or texts unchanged; raise an error unless each target has a finite number or a text."""
+    if values.shape != (n,):
+        raise InputError(f"{what} must have one value per target, shape ({n},), got {values.shape}")
+    if values.dtype.kind != "U" and (lacking := ~np.isfinite(values)).any():
         raise InputError(f"{what} must be a finite number for every target, but {rows_of(lacking)} have none")
-    return numbers
+    return values
 
 
 def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
@@ -157,7 +158,7 @@ def service_order(values: np.ndarray, ids: np.ndarray) -> np.ndarray:
     ndarray of int, shape (n,)
         Rows of the targets; the target with the largest subpriority is first.
     """
-    order = np.argsort(-values, kind="stable")
+    order = np.argsort(-values)
     if (np.diff(values[order]) == 0).any():
         order = np.lexsort((id_numbers(ids), -values))
     return order
@@ -181,7 +182,7 @@ def tie_order(xy_mm: np.ndarray, ids: np.ndarray | None = None) -> np.ndarray:
         Rows of the targets.
     """
     if ids is not None:
-        return service_order(_of_numbers(id_numbers(ids), TIE_SEED), ids)
+        return service_order(subpriorities_of(id_numbers(ids), TIE_SEED), ids)
     whole = np.rint(np.nan_to_num(xy_mm) / SAME_POSITION_MM).astype(np.int64)
     x, y = np.ascontiguousarray(whole.T).view(np.uint64)
-    return service_order(_of_numbers(_of_numbers(x, TIE_SEED).view(np.uint64) ^ y, TIE_SEED), y)
+    return service_order(subpriorities_of(subpriorities_of(x, TIE_SEED).view(np.uint64) ^ y, TIE_SEED), y)

@@ -1,23 +1,16 @@
 """Warnings about options of an allocation that have no effect, and about requirements that cannot be met."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import fields
 
 import numpy as np
 
 from rfpsurvey._roles import JOINED, KINDS, has_role
 from rfpsurvey._units import is_seed_given
-from rfpsurvey.allocation._constraints import abilities_of
 from rfpsurvey.allocation._methods import METHODS
 from rfpsurvey.allocation._plugin import find_improving
 from rfpsurvey.constraints import ONLY_CHECKED, Rule, hint_of_name
 from rfpsurvey.errors import listed, warn, warn_no_effect, warn_of_unused
 from rfpsurvey.focal_plane import FocalPlane
-
-
-def given_options(options: object) -> list[str]:
-    """Return the names of the fields of a dataclass, except the first field, that do not have their default values."""
-    return [one.name for one in fields(options)[1:] if getattr(options, one.name) != one.default]
 
 
 def warn_of_unused_options(
@@ -37,8 +30,7 @@ def warn_of_unused_options(
         Names of further options that were given.
     """
     first = options[0]
-    independent = ("parked_obstacles", "keep_out", "sky_separation", "constraints", "rules")
-    given = [*(name for name in given_options(first) if name not in independent), *also]
+    given = [*(name for name in first.changed() if name != "parked_obstacles"), *also]
     given += ["rng"] if is_seed_given(rng) else []
     known = [find_improving(name, first.start, first.moves) for name in METHODS]
     warn_of_unused(given, [one.method for one in options], known, "allocator")
@@ -85,8 +77,8 @@ def _warn_of_only_checked(options: Sequence, known: list) -> None:
     own = {id(one) for one in first.constraints}  # comparing constraints could compare arrays
     for one in first.all_constraints:
         is_checked = ("obstacles" in one.parts or id(one) in own) and not one.before_fibers
-        if is_checked and all(one.honored(abilities_of(method)) == ONLY_CHECKED for method in methods):
-            users = [method.name for method in known if one.honored(abilities_of(method)) != ONLY_CHECKED]
+        if is_checked and all(one.honored(method.abilities) == ONLY_CHECKED for method in methods):
+            users = [method.name for method in known if one.honored(method.abilities) != ONLY_CHECKED]
             name = f"'{one}'" if id(one) in own else one.name
             chosen = f"{'s' if len(methods) > 1 else ''} {' and '.join(repr(method.name) for method in methods)}"
             who = f"{listed(users)} can honor it" if users else "no allocator honors it"

@@ -1,6 +1,7 @@
-"""Benchmark that measures the speed and the errors of each method that finds collisions."""
+"""Benchmarks that measure the speed and the errors of the methods that find collisions."""
 
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from importlib.util import find_spec
 from time import perf_counter
@@ -10,17 +11,20 @@ import numpy as np
 from astropy.table import MaskedColumn, QTable
 from scipy.spatial import cKDTree
 
+from rfpsurvey._executors import released
 from rfpsurvey._kernels import reference
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import to_generator
 from rfpsurvey.benchmark._common import has_gpu, provenance, random_tips
 from rfpsurvey.collision import (
+    DEFAULT_METHOD,
     METHODS,
     CollisionMethod,
     Configuration,
     Found,
     closer_exactly,
+    count_collisions,
     distance_exactly,
     keep_closer,
     near_pairs,
@@ -139,7 +143,10 @@ def benchmark_collisions(
     if not (isinstance(seconds, int | float) and seconds >= 0):
         raise InputError(f"seconds must be a number of at least 0, got {seconds!r}")
     rng = to_generator(rng)
-    runs = [("exact", 2), *((m, n) for m in names if m != "exact" for n in COMPARED[m].numbers_of_points or (2,))]
+    runs = [
+        (DEFAULT_METHOD, 2),
+        *((m, n) for m in names if m != DEFAULT_METHOD for n in COMPARED[m].numbers_of_points or (2,)),
+    ]
     cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
     found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
@@ -160,7 +167,7 @@ def benchmark_collisions(
     table.meta.update(
         provenance(instrument, plane), n_configurations=n_configurations, repeats=repeats, seconds=seconds
     )
-    return table[np.isin(table["method"], names)] if "exact" not in names else table
+    return table[np.isin(table["method"], names)] if DEFAULT_METHOD not in names else table
 
 
 def _take_turns(runs, cases, repeats, seconds, rng, progress):
@@ -240,3 +247,82 @@ def _check_methods(methods):
     if gone & set(names):
         raise InputError("the method 'shapely' needs the package shapely, which is not installed")
     return names
+
+
+def benchmark_batches(
+    instrument: str | Instrument | FocalPlane = "lamost",
+    *,
+    sizes: Sequence[int] = (1, 100, 10_000),
+    workers: Sequence[int] = (1, 2),
+    repeats: int = 5,
+    rng: int | np.random.Generator | None = 0,
+) -> QTable:
+    """Measure the time of counting the collisions of many configurations in one call, on CPU threads and on a GPU.
+
+    Parameters
+    ----------
+    instrument : str, Instrument or FocalPlane, optional
+        An instrument, a focal plane, or the name of a preset.
+    sizes : sequence of int, optional
+        Numbers of configurations whose collisions are counted in one call. At most 256 different configurations are
+        made; larger batches repeat these configurations. The positions of all tips are kept in memory, for example
+        640 MB for 10,000 configurations of 4000 positioners.
+    workers : sequence of int, optional
+        Numbers of threads.
+    repeats : int, optional
+        Number of calls with the same settings. The table contains the median time of these calls.
+    rng : int, Generator or None, optional
+        Seed or random number generator for the targets, which are uniformly distributed in the patrol areas.
+
+    Returns
+    -------
+    QTable
+        Table with a row for each combination of device, number of workers and size. ``time`` is the median time of a
+        call, and ``rate`` is the number of configurations per second.
+
+    Raises
+    ------
+    InputError
+        If ``sizes`` or ``workers`` is not a list of positive integers, or if ``repeats`` is not positive.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.benchmark.benchmark_batches("sdss_apo", sizes=[1, 10], workers=[1], repeats=1)
+    >>> table["device", "size"].pformat()[2:]
+    ['   CPU    1', '   CPU   10']
+    """
+    plane = as_focal_plane(instrument)
+    for name, values in (("sizes", sizes), ("workers", workers)):
+        if not isinstance(values, Sequence) or len(values) == 0:
+            raise InputError(f"{name} must be a list of whole numbers, got {values!r}")
+        for k, n in enumerate(values):
+            check_whole(n, f"{name}[{k}]")
+    check_whole(repeats, "repeats")
+    rng = to_generator(rng)
+    some = np.array([random_tips(plane, rng) for _ in range(min(256, max(sizes)))])
+    ways = [("CPU", n) for n in workers] + [("GPU", 1)] * has_gpu()
+    rows = []
+    for size in sizes:
+        tips = np.resize(some, (size, *some.shape[1:])) << u.mm
+        times: dict[tuple[str, int], list[float]] = {way: [] for way in ways}
+        for turn in range(repeats + 1):  # the first call compiles the kernels
+            for way in ways:
+                spent = _batch_seconds(plane, tips, *way)
+                times[way] += [spent] if turn else []
+        rows += [(*way, size, np.median(t), size / np.median(t)) for way, t in times.items()]
+    table = QTable(rows=rows, names=("device", "workers", "size", "time", "rate"))
+    table["time"], table["rate"] = 1e3 * table["time"] * u.ms, table["rate"] / u.s
+    table.meta.update(provenance(instrument, plane), repeats=repeats)
+    return table
+
+
+def _batch_seconds(plane, tips, device, workers):
+    method = "cuda" if device == "GPU" else "exact"
+    start = perf_counter()
+    if workers == 1:
+        count_collisions(plane, tips, method=method)
+    else:
+        with released(ThreadPoolExecutor(workers)) as executor:
+            count_collisions(plane, tips, method=method, executor=executor)
+    return perf_counter() - start

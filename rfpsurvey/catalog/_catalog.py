@@ -13,14 +13,14 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._display import to_html
+from rfpsurvey._readers import lacks_units
 from rfpsurvey._roles import to_kinds
 from rfpsurvey._units import rows_of, to_center, to_direction, to_labels, to_numbers, to_plain, to_scalar, to_visits
 from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns
-from rfpsurvey.catalog._motion import move_coordinates, moving
-from rfpsurvey.catalog._time import known_epochs, to_time
+from rfpsurvey.catalog._time import known_epochs, move_coordinates, moving, to_time
 from rfpsurvey.errors import InputError, check_keywords, check_switch, number_of, refusal, warn
 
 _PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
@@ -304,7 +304,7 @@ class Catalog:
         path, name = path_and_name(path)
         table = read_table(path, hdu)
         try:
-            plain = _io.suffix_of(path) in (".csv", ".tsv", ".parquet") and not _tables.has_units(table)
+            plain = lacks_units(path) and not _tables.has_units(table)
             catalog = cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select, assume_units=plain))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None

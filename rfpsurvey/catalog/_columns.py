@@ -42,23 +42,12 @@ ROLES = {
     "visits": ("visits n_visits nvisits n_exposures", ""),
     "delta_ra": ("", ""),
     "delta_dec": ("", ""),
-    "positioner": (
-        "positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id",
-        "",
-    ),
+    "positioner": ("positioner positioner_id hole_id holeid hole robot_id robotid fiber_id fiberid location id", ""),
     "x": ("tip_x x_mm x_focal xfocal x_wok xwok fiberassign_x x", ""),
     "y": ("tip_y y_mm y_focal yfocal y_wok ywok fiberassign_y y", ""),
 }
-UNITS = {
-    "ra": u.deg,
-    "dec": u.deg,
-    "lon": u.deg,
-    "lat": u.deg,
-    "pmra": u.mas / u.yr,
-    "pmdec": u.mas / u.yr,
-    "x": u.mm,
-    "y": u.mm,
-}
+UNITS = dict.fromkeys(("ra", "dec", "lon", "lat"), u.deg)
+UNITS |= {"pmra": u.mas / u.yr, "pmdec": u.mas / u.yr, "x": u.mm, "y": u.mm}
 # Text that marks missing values (case is ignored).
 NOTHING = ("", "null", "none", "na", "n/a", "--", "---")
 # Roles whose missing values can be filled, and whether the values of each role are numbers.

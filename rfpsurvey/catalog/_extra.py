@@ -8,18 +8,13 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
+from rfpsurvey._descriptions import OUTCOMES_COLUMNS, TILE_COLUMNS, VISITS_COLUMNS
 from rfpsurvey._outputs import check_text
 from rfpsurvey._readers import is_known, without_unit
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, listed, short, warn
 
-RESERVED = frozenset(
-    (
-        *("id", "target_id", "target_row", "tile", "positioner", "spectrograph", "fiber_type", "kind", "category"),
-        *("priority", "status", "outcome", "observed", "in_collision", "colliding_with", "clearance", "ra", "dec"),
-        *("x", "y", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y", "arm_x", "arm_y", "needs_planner"),
-    )
-)
+RESERVED = frozenset({"tile", *TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS_COLUMNS})
 """Names of the columns that results always contain."""
 MOST_EXACT = 2**53
 KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}

@@ -7,10 +7,13 @@ from rfpsurvey._readers import is_number, table_of_arrow
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of, refusal, short
 
+PANDAS, ARROW = ("pandas", "DataFrame"), (("polars", "DataFrame"), ("pyarrow", "Table"))
+"""Packages and names of the types that are converted to tables."""
+
 
 def is_table(given: object) -> bool:
     """Return whether an object is a table of astropy or of another package."""
-    return isinstance(given, Table) or _is_records(given) or _is_pandas(given) or _is_arrow(given)
+    return isinstance(given, Table) or _is_records(given) or _is_of(given, PANDAS, *ARROW)
 
 
 def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = True) -> tuple[Table, bool]:
@@ -26,9 +29,9 @@ def as_table(given: object, columns: dict | None = None, *, index_as_id: bool = 
     try:
         if _is_records(given):
             return Table(given), True
-        if _is_pandas(given):
+        if _is_of(given, PANDAS):
             return _of_pandas(given, columns, index_as_id), True
-        if _is_arrow(given):
+        if _is_of(given, *ARROW):
             given = given.to_arrow() if hasattr(given, "to_arrow") else given
             return table_of_arrow(given), not (given.schema.metadata or {}).get(b"table_meta_yaml")
     except InputError:
@@ -76,17 +79,9 @@ def _is_records(given) -> bool:
     return isinstance(given, np.ndarray) and given.ndim == 1 and given.dtype.names is not None
 
 
-def _is_pandas(given) -> bool:
-    return _has_type(given, "pandas", "DataFrame")
-
-
-def _is_arrow(given) -> bool:
-    return _has_type(given, "polars", "DataFrame") or _has_type(given, "pyarrow", "Table")
-
-
-def _has_type(given, package: str, name: str) -> bool:
-    """Return whether an object has a given type of another package, without importing this package."""
-    return any(one.__name__ == name and one.__module__.partition(".")[0] == package for one in type(given).__mro__)
+def _is_of(given, *types: tuple[str, str]) -> bool:
+    """Return whether an object has one of several types of other packages, without importing these packages."""
+    return any((one.__module__.partition(".")[0], one.__name__) in types for one in type(given).__mro__)
 
 
 def _of_pandas(frame, columns, index_as_id) -> Table:

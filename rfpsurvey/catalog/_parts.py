@@ -12,31 +12,14 @@ from astropy.table import Table, vstack
 from rfpsurvey import _healpix
 from rfpsurvey._readers import check_is_file, import_parquet, read_parquet, reading
 from rfpsurvey.catalog._catalog import Catalog
+from rfpsurvey.catalog._columns import ROLES as COLUMN_ROLES
 from rfpsurvey.catalog._columns import Finder
-from rfpsurvey.catalog._digest import add_stored_columns
 from rfpsurvey.catalog._survey_formats import check_mode
 from rfpsurvey.catalog._tables import EQUATORIAL, read_columns
 from rfpsurvey.errors import InputError, listed
 
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
-ROLES = (
-    "id",
-    "ra",
-    "dec",
-    "lon",
-    "lat",
-    "pmra",
-    "pmdec",
-    "epoch",
-    "priority",
-    "subpriority",
-    "kind",
-    "category",
-    "fiber_type",
-    "visits",
-    "delta_ra",
-    "delta_dec",
-)
+ROLES = tuple(role for role in COLUMN_ROLES if role not in ("positioner", "x", "y"))
 INDEX_ORDER = 29
 SLACK_RAD = 1e-9
 
@@ -232,3 +215,24 @@ class Partitions:
             return replace(catalog, numbered=True) if self._has_no_id else catalog
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+
+
+def add_stored_columns(digest, path: Path, names: list[str]) -> None:
+    """Update a ``hashlib`` digest with the types and the stored bytes of the given columns of a Parquet file."""
+    from pyarrow import parquet
+
+    about = parquet.read_metadata(path)
+    columns = [(about.schema.column(k).path, k) for k in range(about.num_columns)]
+    columns = sorted((name, k) for name, k in columns if name.split(".")[0] in names)
+    with path.open("rb") as file:
+        for name, k in columns:
+            kind = about.schema.column(k)
+            digest.update(f"{name} {kind.physical_type} {kind.logical_type}".encode())
+            for group in range(about.num_row_groups):
+                chunk = about.row_group(group).column(k)
+                begin = chunk.data_page_offset
+                if chunk.has_dictionary_page:
+                    begin = min(begin, chunk.dictionary_page_offset or begin)
+                digest.update(f"{chunk.compression} {chunk.num_values}".encode())
+                file.seek(begin)
+                digest.update(file.read(chunk.total_compressed_size))

@@ -31,6 +31,10 @@ EXPOSURE = 900 * u.s
 """Time of one exposure of PFS if a target list states no other time (documentation of the PFS target uploader)."""
 MOST_OFFSET = 900 * u.arcsec
 """Largest offset of a candidate of SDSS-V that is added; offsets are at most a few arcmin."""
+SDSSV = "SDSS-V"
+SDSSV_COLUMNS = {"cadence", "category", "carton", "cartonname", "program", "mapper", "inertial"}
+SDSSV_COLUMNS |= {"can_offset", "delta_ra"}
+"""Columns of candidates of SDSS-V; several of them identify lists without catalogid and rsid."""
 NO_OFFSET = (-999.0, -999.99, -9999.0, -9999.99)
 """Codes for no offset."""
 
@@ -87,14 +91,16 @@ def _desi(lower: dict) -> SurveyFormat | None:
 
 def _sdssv(lower: dict) -> SurveyFormat | None:
     """Return the format of candidates of SDSS-V, in which small priorities are more important."""
-    groups = (("catalogid", "rsid"), ("fibertype", "fiber_type", "instrument"), ("cadence", "category", "carton"))
+    typical = [name for name in lower if name in SDSSV_COLUMNS]
+    identifiers = ("catalogid", "rsid", *(typical if len(typical) > 3 else ()))
+    groups = (identifiers, ("fibertype", "fiber_type", "instrument"), ("cadence", "category", "carton", "cartonname"))
     found = [next((lower[name] for name in group if name in lower), None) for group in groups]
     # rfpsurvey writes priorities with the sign that it uses, and names the identifiers id or target_id
     if "priority" not in lower or None in found or lower.keys() & {"id", "target_id"}:
         return None
     offsets = ("delta_ra", "delta_dec")
     columns = {name: lower[name] for name in offsets} if lower.keys() >= {*offsets} else {}
-    return SurveyFormat("SDSS-V candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(found))
+    return SurveyFormat(f"{SDSSV} candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(found))
 
 
 def _pfs(lower: dict) -> SurveyFormat | None:
@@ -112,6 +118,11 @@ def _pfs(lower: dict) -> SurveyFormat | None:
         del columns["visits"]
     single, mode = lower.get("single_exptime", ""), lower.get("resolution", "")
     return SurveyFormat("PFS targets", columns, marks=marks, times=times, exposure=single, mode=mode)
+
+
+def survey_of_north(statement: str) -> str:
+    """Return the survey whose format begins a statement, if it measures position angles from the north of date."""
+    return SDSSV if statement.startswith(SDSSV) else ""
 
 
 def visits_of_times(table: Table, name: str, exposure: str) -> tuple[np.ndarray, str]:

@@ -12,7 +12,6 @@ from rfpsurvey._units import rows_of, to_labels
 from rfpsurvey.catalog._columns import Finder
 from rfpsurvey.catalog._extra import pick_columns, result_name
 from rfpsurvey.catalog._frames import as_table, select_rows
-from rfpsurvey.catalog._motion import moving
 from rfpsurvey.catalog._survey_formats import (
     COUNTS,
     check_mode,
@@ -22,7 +21,7 @@ from rfpsurvey.catalog._survey_formats import (
     shifted,
     visits_of_times,
 )
-from rfpsurvey.catalog._time import FIRST, LAST, to_time
+from rfpsurvey.catalog._time import FIRST, LAST, moving, to_time
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, number_of, short, warn
 
 PER_TARGET = ("id", "priority", "kind", "category", "fiber_type", "visits", "subpriority")
@@ -196,15 +195,12 @@ def _coordinates(find: Finder, frame: str) -> SkyCoord:
     lacking = [role for role in roles if find.name_of(role) is None]
     if lacking:
         raise find.missing(" and ".join(lacking) + ("" if equatorial else f" of the frame {frame!r}"))
-    names = [find.name_of(role) for role in roles]
     lon, lat = (_angle(find, role, u.hourangle if role == "ra" else u.deg) for role in roles)
     motion = _motion(find, equatorial=equatorial)
-    bad = np.abs(lat) > 90 * u.deg
-    if bad.any():
-        raise InputError(f"column {names[1]!r} must lie between -90 and 90 deg, got {lat[bad][0]}")
-    far = np.abs(lon) > 360 * u.deg
-    if far.any():
-        raise InputError(f"column {names[0]!r} must lie between -360 and 360 deg, got {lon[far][0]}")
+    for role, values, most in ((roles[1], lat, 90), (roles[0], lon, 360)):
+        if (far := np.abs(values) > most * u.deg).any():
+            name = find.name_of(role)
+            raise InputError(f"column {name!r} must lie between -{most} and {most} deg, got {values[far][0]}")
     try:
         return SkyCoord(lon, lat, frame=frame, **motion)
     except ValueError as error:

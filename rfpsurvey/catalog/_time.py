@@ -1,16 +1,18 @@
-"""Convert epochs and times of observations to Time objects."""
+"""Epochs and times of observations as Time objects, and proper motions, which are motions along straight lines."""
 
 from datetime import date, datetime
 from numbers import Number
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
 from rfpsurvey._readers import parse_number
-from rfpsurvey._units import rows_of
-from rfpsurvey.errors import INCONVERTIBLE, InputError, is_real, refusal, short
+from rfpsurvey._units import rows_of, to_axes, to_lonlat
+from rfpsurvey.errors import INCONVERTIBLE, InputError, is_real, refusal, short, warn
 
 FIRST, LAST = 1700, 2300
 DATED = Time, date, np.datetime64
@@ -101,3 +103,131 @@ def known_epochs(epoch: Time, moves: np.ndarray) -> Time | None:
         raise InputError(f"epoch must be a time for every target with a proper motion, but {lacking} have none")
     rows = np.arange(len(moves))
     return None if missing.all() else epoch[np.where(missing, rows[~missing][0], rows)]
+
+
+if TYPE_CHECKING:
+    from rfpsurvey.catalog._catalog import Catalog
+
+
+def moving(coord: SkyCoord) -> np.ndarray:
+    """Return whether each target has a known proper motion that differs from 0."""
+    motion = coord.data.differentials.get("s")
+    if motion is None:
+        return np.zeros(len(coord), dtype=bool)
+    motion = np.array([part.value for part in (motion.d_lon_coslat, motion.d_lat)])
+    return np.isfinite(motion).all(axis=0) & (motion != 0).any(axis=0)
+
+
+def move_coordinates(coord: SkyCoord, years: np.ndarray) -> SkyCoord:
+    """Return ICRS coordinates after the given numbers of years; targets without both proper motions do not move."""
+    icrs = coord.icrs
+    lon, lat = icrs.ra.rad, icrs.dec.rad
+    motion = np.column_stack([pm.to_value(u.rad / u.yr) for pm in (icrs.pm_ra_cosdec, icrs.pm_dec)])
+    known = np.isfinite(motion).all(axis=1)
+    moved = move(lon[known], lat[known], motion[known], years[known])
+    lon, lat, motion = lon.copy(), lat.copy(), np.where(known[:, None], motion, np.nan)
+    lon[known], lat[known], motion[known] = moved
+    pm_ra, pm_dec = (motion.T * u.rad / u.yr).to(u.mas / u.yr)
+    return SkyCoord(lon * u.rad, lat * u.rad, pm_ra_cosdec=pm_ra, pm_dec=pm_dec)
+
+
+def move(lon: np.ndarray, lat: np.ndarray, motion: np.ndarray, years: np.ndarray) -> tuple:
+    """Return the positions and proper motions of stars after the given numbers of years.
+
+    The motion is computed with unit vectors, so the poles need no special treatment. A star that does not move
+    keeps its position.
+
+    Parameters
+    ----------
+    lon, lat : ndarray, shape (n,)
+        Longitudes and latitudes, in radians.
+    motion : ndarray, shape (n, 2)
+        Proper motions in longitude (with the cosine of the latitude) and in latitude, in radians per year.
+    years : ndarray, shape (n,)
+        Time during which each star moves, in years.
+
+    Returns
+    -------
+    lon, lat : ndarray, shape (n,)
+        New longitudes (from 0 to 2 pi) and latitudes, in radians.
+    motion : ndarray, shape (n, 2)
+        New proper motions, in radians per year.
+    """
+    place, east, north = to_axes(lon, lat)
+    velocity = motion[:, :1] * east + motion[:, 1:] * north
+    new = place + years[:, None] * velocity
+    distance = np.linalg.norm(new, axis=1)[:, None]
+    new_lon, new_lat = to_lonlat(new)
+    still = (motion == 0).all(axis=1) | (years == 0)
+    new_lon, new_lat = np.where(still, lon, new_lon % (2 * np.pi)), np.where(still, lat, new_lat)
+    _, east, north = to_axes(new_lon, new_lat)
+    velocity = velocity / distance
+    across = np.column_stack([(velocity * east).sum(axis=1), (velocity * north).sum(axis=1)])
+    return new_lon, new_lat, np.where(still[:, None], motion, across)
+
+
+def move_vectors(vectors: np.ndarray, motion: np.ndarray, years: float) -> np.ndarray:
+    """Return unit vectors after a number of years; ``motion`` is the same as in `move`, and NaN is no motion."""
+    _, east, north = to_axes(*to_lonlat(vectors))
+    motion = np.where(np.isfinite(motion).all(axis=1)[:, None], motion, 0.0)
+    new = vectors + years * (motion[:, :1] * east + motion[:, 1:] * north)
+    return new / np.linalg.norm(new, axis=1)[:, None]
+
+
+def choose_epoch(
+    catalog: "Catalog", epoch: object, times: Time | None, *, whole: bool = True
+) -> tuple[object, str | None]:
+    """Return the epoch to which the targets are moved, and a sentence that states their epoch.
+
+    Parameters
+    ----------
+    catalog : Catalog
+        The targets.
+    epoch : Time, str, float or None
+        Epoch that the user requested.
+    times : Time or None
+        Times of the observing conditions, one or several. Without a requested epoch, targets are moved to these times.
+    whole : bool, optional
+        Whether the catalog contains all targets; otherwise, the sentence does not state how far targets move.
+
+    Returns
+    -------
+    Time, str, float or None
+        The epoch; for several times, their midpoint; None if the targets are not moved.
+    str or None
+        The sentence; None if the targets have no proper motions, or only proper motions of 0.
+    """
+    asked = None if epoch is None else to_time(epoch, "epoch", one=True)
+    if not catalog.has_proper_motion or (whole and not moving(catalog.coord).any()):
+        if epoch is not None:
+            warn("the epoch has no effect, because the targets have no proper motions")
+        return epoch, None
+    if epoch is None and times is not None and catalog.epoch is not None:
+        times = times.reshape(-1)
+        text = f"the targets are moved to {epoch_text(times)}, the time of the observing conditions"
+        return times.min() + (times.max() - times.min()) / 2, text
+    speed = np.nan_to_num(np.hypot(catalog.coord.icrs.pm_ra_cosdec, catalog.coord.icrs.pm_dec)).to(u.mas / u.yr)
+    fastest = np.max(speed, initial=0 * u.mas / u.yr)
+    if epoch is not None:
+        text = f"the targets are moved to {epoch_text(asked)}, the requested epoch"
+    else:
+        own = "unknown" if catalog.epoch is None else epoch_text(catalog.epoch)
+        text = f"the targets are at the epoch of the catalog ({own}), although they have proper motions"
+        text += f" of up to {fastest:.4g}" if whole else ""
+    if times is not None and asked is not None:
+        moved = (fastest * np.max(np.abs((times.tdb - asked.tdb).to(u.yr)))).to(u.arcsec)
+        distance = f" by up to {moved:.2g}" if whole else ""
+        text += f"; they move{distance} until the time of the observing conditions, {epoch_text(times)}"
+    elif times is not None:
+        text += "; without an epoch of the catalog, they cannot be moved to the time of the observing conditions"
+        warn(text)
+    return epoch, text
+
+
+def epoch_text(epoch: Time | None) -> str | None:
+    """Return the epoch of the positions as text for the provenance."""
+    if epoch is None:
+        return None
+    years = np.atleast_1d(epoch.jyear)
+    low, high = float(years.min()), float(years.max())
+    return f"J{low:.3f}" if low == high else f"J{low:.3f} to J{high:.3f}"

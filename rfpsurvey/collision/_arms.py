@@ -9,8 +9,8 @@ import numpy as np
 
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._units import to_plain, to_points_mm, to_radian
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_fiber_type, check_switch
-from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.errors import InputError, InputTypeError, check_fiber_type, check_switch
+from rfpsurvey.focal_plane import FocalPlane, to_sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -209,20 +209,6 @@ def place_tips(columns, points, side, clipped):
         far = clipped & ((r2 < bounds.low) | (r2 > bounds.high))
         segments[2:, far] = posed[2:, far]
     return segments
-
-
-def to_sides(columns, points, handedness):
-    """Return +1 for right-handed and -1 for left-handed arms; by default, the focal plane determines the handedness."""
-    if handedness is None:
-        return columns.sides(points)
-    n = len(columns.plane)
-    names = np.full(n, handedness) if isinstance(handedness, str) else to_plain(handedness, "handedness").astype(str)
-    if names.shape != (n,):
-        raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
-    left = names == "left"
-    for name in names[~left & (names != "right")]:
-        check_choice(str(name), ("right", "left"), "handedness of an arm")
-    return np.where(left, -1.0, 1.0)
 
 
 def to_columns(plane, fiber_type):

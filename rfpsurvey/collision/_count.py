@@ -9,11 +9,12 @@ import numpy as np
 
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._kernels import arms, batch
+from rfpsurvey._kernels.allocation import draw_places
 from rfpsurvey._units import to_mm, to_spawner
-from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_columns, to_sides
-from rfpsurvey.collision._methods import METHODS
+from rfpsurvey.collision._arms import check_plane, check_tips, joints_free, to_columns
+from rfpsurvey.collision._methods import DEFAULT_METHOD, METHODS
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, number_of
-from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.focal_plane import FocalPlane, to_sides
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,7 +84,7 @@ def count_collisions(
     handedness: str | np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     parked_obstacles: bool = True,
-    method: str = "exact",
+    method: str = DEFAULT_METHOD,
     executor: Executor | None = None,
     rng: int | np.random.Generator | None = 0,
 ) -> CollisionCounts:
@@ -160,9 +161,7 @@ def count_collisions(
     for part, hits in map_in_order(executor, score, *chunks):
         parts.append(part)
         times += hits
-    counts = np.concatenate(parts)
-    order = [batch.PAIRS, batch.OBSTACLE_PAIRS, batch.COLLIDING, batch.COLLIDING_ASSIGNED, batch.COUNTED]
-    return CollisionCounts(*counts[:, [*order, batch.ASSIGNED, batch.BORDERLINE]].T, times)
+    return CollisionCounts(*np.concatenate(parts).T, times)
 
 
 def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
@@ -176,39 +175,59 @@ def _of_tips(plane, tips, handedness, fiber_type, parked_obstacles, method):
     side = None
     if handedness is not None or columns.joints_free:
         side = to_sides(columns, np.full((len(plane), 2), np.nan), handedness)[None, :]
-    scorer = _device_scorer(columns, setup) if method.device == "GPU" else partial(_on_processor, columns, setup)
+    scorer = _device_scorer(columns, setup) if method.device == "GPU" else partial(count_tips, columns, setup)
     starts = range(0, len(tips), method.chunk)
     return partial(_score_tips, columns, side, scorer), ((tips[k : k + method.chunk] for k in starts), starts)
 
 
 def _score_tips(columns, side, scorer, tips, start):
+    """Return the counts of each configuration of a chunk, and the number of collisions of each positioner.
+
+    ``side`` contains the sides of the elbows (+1 or -1), as a single row; None if they depend on the joint limits.
+    ``start`` is the number of the first configuration.
+    """
     points = to_mm(tips, "tips")
-    side = _sides_of_chunk(columns, points, side, start)
+    is_free = side is not None and joints_free(columns, side)
+    if not is_free:
+        side = np.array([columns.sides(row) if side is None else side[0] for row in points])
     counts, times, far = scorer(points, side)
-    if far:
-        for c, row in enumerate(points):  # this finds the number of the configuration for the error message
-            _check(columns, row, side[min(c, len(side) - 1)], start + c)
+    for c, row in enumerate(points if far or not is_free else ()):
+        try:
+            check_tips(columns, row, side[min(c, len(side) - 1)])
+        except InputError as error:
+            raise InputError(f"configuration {start + c}: {error}") from None
     return counts, times
 
 
-def _on_processor(columns, setup, points, side):
+def count_tips(columns, setup: batch.CollisionSetup, points: np.ndarray, side: np.ndarray) -> tuple:
     """Return the counts of each configuration of a chunk, and sums over the configurations.
 
     ``points`` are the positions of the tips (mm), and ``side`` contains the sides of the elbows (+1 or -1). The sums
     are the number of configurations in which each positioner is in collision, and the number of tips out of reach.
     """
-    plane = columns.plane
+    plane, bounds = columns.plane, columns.bounds
     counts, times = np.empty((len(points), batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    bounds = columns.bounds
     if columns.joints is not None:  # an elbow on the other side has other joint limits
         usual = -1.0 if plane.positioner.handedness == "left" else 1.0
         bounds = columns.bounds_of(None, None, np.where((side == usual).all(axis=0), usual, -usual))
-    far = batch.count_tips(points, columns.geometry, bounds, side, setup, make_workspace(plane), counts, times)
+    far = batch.count_tips(points, columns.geometry, bounds, side, setup, _workspace(plane), counts, times)
     return counts, times, far
 
 
+def count_poses(plane, setup: batch.CollisionSetup, chosen: np.ndarray, segments, idle, times, slack=0.0) -> np.ndarray:
+    """Return the counts of each configuration, and add the collisions of each positioner to ``times``.
+
+    ``chosen`` contains the index in ``segments`` of the pose of each positioner, shape (m, n), or -1 for positioners
+    whose arms are those in ``idle``. The shape of ``times`` is (1, n) for sums over the configurations, or (m, n).
+    Distances from obstacles are uncertain by ``slack`` (mm).
+    """
+    counts = np.empty((len(chosen), batch.N_COUNTS), dtype=np.int64)
+    batch.count_poses(chosen, segments, idle, setup, slack, _workspace(plane), counts, times)
+    return counts
+
+
 def _device_scorer(columns, setup):
-    """Return a function that does the same as `_on_processor` on a GPU."""
+    """Return a function that does the same as `count_tips` on a GPU."""
     if columns.plane.positioner.outline is not None or columns.obstacle_polygons:
         raise InputError("the method must be 'exact' if arms have outlines or obstacles are polygons, got 'cuda'")
     from rfpsurvey.collision import _gpu
@@ -240,10 +259,18 @@ def _of_draws(plane, allocation, n_configurations, method, rng):
 
 
 def _score_draws(plane, setup, idle, indptr, entries, size, rng):
-    counts, times = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(len(plane), dtype=np.int64)
-    uniform = rng.random((size, len(plane)))
-    batch.count_draws(uniform, indptr, entries, idle, setup, make_workspace(plane), counts, times)
-    return counts, times
+    times = np.zeros((1, len(plane)), dtype=np.int64)
+    return count_poses(plane, setup, draw_poses(indptr, rng, size), entries, idle, times), times[0]
+
+
+def draw_poses(indptr: np.ndarray, rng: np.random.Generator, size: int) -> np.ndarray:
+    """Draw configurations with one random pose of each queue: its index, or -1 if the queue is empty.
+
+    ``indptr`` contains the index of the first pose of each queue.
+    """
+    chosen = np.empty((size, len(indptr) - 1), dtype=np.int64)
+    draw_places(indptr, rng.random(chosen.shape), chosen)
+    return chosen
 
 
 def queue_segments(plane, allocation):
@@ -292,32 +319,12 @@ def _turned(segments, first, used):
     return np.vstack([segments[:2], segments[0] + used_c * x + used_s * y, segments[1] + used_c * y - used_s * x])
 
 
-def make_workspace(plane) -> batch.Workspace:
+def _workspace(plane):
     """Return the work arrays for counting the collisions of one configuration."""
     n, size = len(plane), len(plane.arrays.neighbors)
     flags = (np.zeros(n, dtype=np.bool_) for _ in range(3))
     pairs = np.empty(size, dtype=np.int64), np.empty(size, dtype=np.int64), np.empty(size)
     return batch.Workspace(np.empty((4, n)), np.empty((4, n)), *flags, *pairs)
-
-
-def _sides_of_chunk(columns, points, side, start):
-    """Return the sides of the elbows (+1 or -1) in the configurations of a chunk, as rows of an array.
-
-    There is a single row for all configurations, or one row per configuration if the sides depend on the joint limits.
-    """
-    if side is not None and joints_free(columns, side):
-        return side
-    rows = [columns.sides(p) if side is None else side[0] for p in points]
-    for c, (tips, row) in enumerate(zip(points, rows, strict=True)):
-        _check(columns, tips, row, start + c)
-    return np.array(rows)
-
-
-def _check(columns, points, side, number):
-    try:
-        check_tips(columns, points, side)
-    except InputError as error:
-        raise InputError(f"configuration {number}: {error}") from None
 
 
 def _ratio(part, whole):

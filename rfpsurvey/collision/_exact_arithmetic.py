@@ -11,6 +11,7 @@ from math import lcm, sqrt
 import numpy as np
 
 from rfpsurvey._kernels.outlines import RADIUS, Outline, place_outline
+from rfpsurvey.positioner import convex_hull, orientation
 
 
 def arms_closer_exactly(columns, segments: np.ndarray, a: int, b: int, i: int, j: int) -> bool:
@@ -43,16 +44,13 @@ def closer_exactly(first, second, separation: float | Fraction) -> bool:
     common = lcm(*(q for _, q in ratios))
     *ends, limit = (p * (common // q) for p, q in ratios)
     a, b, c, d = zip(ends[::2], ends[1::2], strict=True)
-    if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
-        return True
-    ends = (a, c, d), (b, c, d), (c, a, b), (d, a, b)
-    return any(_near(*three, limit, closed=limit == 0) for three in ends)
+    return _polygons_closer(sorted({a, b}), sorted({c, d}), limit, closed=limit == 0)
 
 
 def distance_exactly(first, second) -> float:
     """Return the distance between two segments, computed from the exact squared distance."""
     a, b, c, d = ((Fraction(float(e[k])), Fraction(float(e[k + 1]))) for e in (first, second) for k in (0, 2))
-    if _orientation(a, b, c) * _orientation(a, b, d) < 0 and _orientation(c, d, a) * _orientation(c, d, b) < 0:
+    if orientation(a, b, c) * orientation(a, b, d) < 0 and orientation(c, d, a) * orientation(c, d, b) < 0:
         return 0.0
     return sqrt(min(n / m for n, m in (_squared(a, c, d), _squared(b, c, d), _squared(c, a, b), _squared(d, a, b))))
 
@@ -70,7 +68,7 @@ def outlines_closer_exactly(outline: Outline, i: int, j: int, first, second, sep
     common = lcm(*(v.denominator for v in numbers))  # so that all arithmetic uses integers
     spans = list(pairwise(outline.start.tolist()))
     whole = [[(int(x * common), int(y * common)) for x, y in points] for points in placed]
-    hulls = [[_hull(points[a:b]) for a, b in spans] for points in whole]
+    hulls = [[convex_hull(points[a:b]) for a, b in spans] for points in whole]
     n = outline.n_eccentric
     for p, q in product(range(len(radii)), repeat=2):
         limit = int((Fraction(separation) + radii[p] + radii[q]) * common)
@@ -91,14 +89,14 @@ def touches_exactly(columns, i: int, segment, j: int) -> bool:
         obstacle, limit = [(x, y)], radius + Fraction(columns.clearance)
     else:
         points = columns.obstacle_polygons[j - len(circles)].tolist()
-        obstacle, limit = _hull([(Fraction(x), Fraction(y)) for x, y in points]), Fraction(columns.clearance)
+        obstacle, limit = convex_hull([(Fraction(x), Fraction(y)) for x, y in points]), Fraction(columns.clearance)
     if outline.start.size == 1:
         ends = [Fraction(v) for v in segment]
         parts = [(sorted({(ends[0], ends[1]), (ends[2], ends[3])}), Fraction(0))]
     else:
         placed, spans = _placed_vertices(outline, i, segment), pairwise(outline.start.tolist())
         radii = map(Fraction, outline.parts[RADIUS].tolist())
-        parts = [(_hull(placed[a:b]), radius) for (a, b), radius in zip(spans, radii, strict=True)]
+        parts = [(convex_hull(placed[a:b]), radius) for (a, b), radius in zip(spans, radii, strict=True)]
     return any(_polygons_closer(part, obstacle, limit + radius) for part, radius in parts)
 
 
@@ -107,20 +105,6 @@ def _placed_vertices(outline, i, core):
     placed = np.empty((4, outline.n_vertices))
     place_outline(outline, i, *map(float, core), placed)
     return [(Fraction(x) + Fraction(dx), Fraction(y) + Fraction(dy)) for x, y, dx, dy in placed.T.tolist()]
-
-
-def _hull(points):
-    """Return the vertices of the convex hull in counter-clockwise order, without vertices on straight edges."""
-    hull = []
-    ordered = sorted(set(points))
-    for run in (ordered, ordered[::-1]):
-        chain = []
-        for point in run:
-            while len(chain) > 1 and _orientation(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        hull += chain[:-1]
-    return hull or ordered
 
 
 def _polygons_closer(first, second, limit, *, closed=False):
@@ -140,12 +124,7 @@ def _separated(first, second):
     """Return whether the line through an edge of a convex polygon separates this polygon from another polygon."""
     if len(first) == 1:
         return False
-    return any(all(_orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))
-
-
-def _orientation(a, b, p):
-    """Return twice the signed area of the triangle a, b, p."""
-    return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
+    return any(all(orientation(a, b, point) <= 0 for point in second) for a, b in _edges(first))
 
 
 def _near(p, a, b, limit, *, closed=False):
@@ -160,6 +139,6 @@ def _squared(p, a, b):
     length2 = (b[0] - a[0]) ** 2 + (b[1] - a[1]) ** 2
     along = (b[0] - a[0]) * (p[0] - a[0]) + (b[1] - a[1]) * (p[1] - a[1])
     if 0 < along < length2:
-        return _orientation(a, b, p) ** 2, length2
+        return orientation(a, b, p) ** 2, length2
     x, y = a if along <= 0 else b
     return (p[0] - x) ** 2 + (p[1] - y) ** 2, 1

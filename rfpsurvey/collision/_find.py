@@ -1,4 +1,4 @@
-"""Find the arms of one configuration that are closer to each other than the minimum separation."""
+"""Find the arms of one configuration that are closer than the minimum separation."""
 
 import astropy.units as u
 import numpy as np
@@ -14,14 +14,13 @@ from rfpsurvey.collision._arms import (
     place_arms,
     pose_tips,
     to_columns,
-    to_sides,
     to_tips,
 )
 from rfpsurvey.collision._exact_arithmetic import touches_exactly
-from rfpsurvey.collision._methods import METHODS, Configuration, Found
+from rfpsurvey.collision._methods import DEFAULT_METHOD, METHODS, Configuration, Found
 from rfpsurvey.collision._report import CollisionReport
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole
-from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.focal_plane import FocalPlane, to_sides
 
 MOST_POINTS = 10_000
 NOTHING = Found(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), 0)
@@ -38,7 +37,7 @@ def find_collisions(
     handedness: str | np.ndarray | None = None,
     fiber_type: np.ndarray | None = None,
     parked_obstacles: bool = True,
-    method: str = "exact",
+    method: str = DEFAULT_METHOD,
     n_points: int = 65,
 ) -> CollisionReport:
     """Find the pairs of arms that are closer to each other than the minimum separation D.
@@ -123,7 +122,9 @@ def find_collisions(
     return collisions_of(focal_plane, *_posed_segments(focal_plane, tips, given, parked_obstacles), chosen, n_points)
 
 
-def collisions_of(plane: FocalPlane, segments, assigned, parked, poses=None, method=METHODS["exact"], n_points=0):
+def collisions_of(
+    plane: FocalPlane, segments, assigned, parked, poses=None, method=METHODS[DEFAULT_METHOD], n_points=0
+):
     """Find the collisions of arms that were placed for this focal plane; nothing is checked.
 
     ``segments`` contains the segments that can collide, in mm and with the shape (4, n); they are NaN for arms that are

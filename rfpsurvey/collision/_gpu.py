@@ -42,10 +42,12 @@ def make_scorer(columns, setup):
     g, bounds = columns.geometry, columns.bounds
     geometry = cuda.to_device(np.array([g.cx, g.cy, g.l1, g.l2, bounds.low, bounds.high]))
     idle, angles = cuda.to_device(setup.idle), cuda.to_device(np.array([setup.cosine, setup.sine]))
-    indptr, neighbor, parked = (cuda.to_device(v) for v in (*columns.both_ways, setup.parked))
+    shape = g.home_x, g.home_y, idle, setup.model, setup.length, angles
+    *neighbors, parked = (cuda.to_device(v) for v in (*columns.both_ways, setup.parked))
+    near = (limits.separation + limits.slack) ** 2, collisions.squared_limit(limits), limits.band
     circle_indptr = cuda.to_device(np.searchsorted(setup.obstacle_pairs[:, 0], np.arange(n + 1)))
-    circles = cuda.to_device(np.vstack([setup.obstacles[setup.obstacle_pairs[:, 1]], np.zeros((1, 3))]))  # never empty
-    reject2, limit = (limits.separation + limits.slack) ** 2, collisions.squared_limit(limits)
+    circles = np.vstack([setup.obstacles[setup.obstacle_pairs[:, 1]], np.zeros((1, 3))])  # never empty
+    obstacles = circle_indptr, cuda.to_device(circles), setup.clearance
 
     def score(points, side):
         m = len(points)
@@ -53,34 +55,8 @@ def make_scorer(columns, setup):
         segments, far = cuda.device_array((m, 4, n)), cuda.to_device(np.zeros(1, dtype=np.int64))
         counts, times = cuda.to_device(np.zeros((m, N_COUNTS), np.int64)), cuda.to_device(np.zeros(n, np.int64))
         launch = (-(-n // gpu.THREADS), m), gpu.THREADS
-        gpu.pose_tips[launch](
-            tips,
-            geometry,
-            cuda.to_device(side),
-            g.home_x,
-            g.home_y,
-            idle,
-            setup.model,
-            setup.length,
-            angles,
-            segments,
-            far,
-        )
-        gpu.count[launch](
-            tips,
-            segments,
-            indptr,
-            neighbor,
-            reject2,
-            limit,
-            limits.band,
-            parked,
-            circle_indptr,
-            circles,
-            setup.clearance,
-            counts,
-            times,
-        )
+        gpu.pose_tips[launch](tips, geometry, cuda.to_device(side), *shape, segments, far)
+        gpu.count[launch](tips, segments, *neighbors, *near, parked, *obstacles, counts, times)
         return counts.copy_to_host(), times.copy_to_host(), int(far.copy_to_host()[0])
 
     return score

@@ -132,6 +132,8 @@ METHODS = table_of(
     CollisionMethod("cuda", cuda, device="GPU", chunk=2048),
 )
 """Methods by name."""
+DEFAULT_METHOD = "exact"
+"""The method that finds collisions unless the user chooses another one; benchmarks compare all methods with it."""
 
 
 def near_pairs(case: Configuration) -> tuple[np.ndarray, np.ndarray]:

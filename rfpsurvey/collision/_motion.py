@@ -6,21 +6,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels.motion import Moves
+from rfpsurvey.collision import _moves
 from rfpsurvey.collision._arms import Arms, check_arms, check_plane, place_arms
-from rfpsurvey.collision._moves import (
-    Folded,
-    Turning,
-    find_moves,
-    fold_of,
-    idle_moves,
-    joined,
-    split_phi,
-    stays_folded,
-    touching_folds,
-    turn_idle_arms,
-    unfolding_obstacles,
-    unfolding_pairs,
-)
 from rfpsurvey.errors import check_choice, check_keywords, check_switch, number_of
 from rfpsurvey.focal_plane import FocalPlane
 
@@ -157,19 +144,18 @@ def find_motion(
     check_choice(law, LAWS, "law of time")
     check_switch(parked_obstacles, "parked_obstacles")
     columns = focal_plane.arrays
-    folded = Folded.of(columns)
-    idle = idle_moves(columns, parked_obstacles)
-    turning = Turning(columns, folded, idle)
+    idle = _moves.idle_moves(columns, parked_obstacles)
+    turning = _moves.Turning(columns, idle)
     given = [arms] if before is None else [arms, before]
     parts = [_motion_of(focal_plane, one, idle, turning, law == "same_speed") for one in given]
-    pairs = [unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, *_ in parts]
+    pairs = [_moves.unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, *_ in parts]
     own, near = np.arange(len(focal_plane)), columns.obstacle_pairs
-    hits = [near[unfolding_obstacles(focal_plane, moves, own, near)] for moves, *_ in parts]
+    hits = [near[_moves.unfolding_obstacles(focal_plane, moves, own, near)] for moves, *_ in parts]
     theta, moved = parts[0][1], np.any([part[2] for part in parts], axis=0)
     free = turning.allows(own, theta, None if before is None else parts[1][1])
     if before is not None:  # an arm with limits of phi that changes its elbow would have to pass its stretched pose
         free &= ~(parts[0][2] & parts[1][2] & (np.abs(parts[0][3] - parts[1][3]) > SAME_FOLD))
-    touching = touching_folds(columns, folded)
+    touching = turning.folded.touching
     touching = touching[moved[touching].any(axis=1)]
     unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
     joint = columns.to_joints(np.where(np.isnan(parts[0][0].x), np.nan, theta), np.zeros(len(theta)))[0]
@@ -178,8 +164,8 @@ def find_motion(
 
 def plan_moves(plane: FocalPlane, arms: object, law: str, parked_obstacles: bool) -> Moves:
     """Return the motion of all arms of a plan; folded idle arms are turned out of the way."""
-    columns, idle = plane.arrays, idle_moves(plane.arrays, parked_obstacles)
-    return _motion_of(plane, arms, idle, Turning(columns, Folded.of(columns), idle), law == "same_speed")[0]
+    columns, idle = plane.arrays, _moves.idle_moves(plane.arrays, parked_obstacles)
+    return _motion_of(plane, arms, idle, _moves.Turning(columns, idle), law == "same_speed")[0]
 
 
 def _motion_of(plane, given, idle, turning, same_speed):
@@ -195,15 +181,15 @@ def _motion_of(plane, given, idle, turning, same_speed):
     own, fiber = np.arange(len(plane)), columns.fiber_index
     theta, phi = (np.array(value, dtype=float) for value in columns.from_joints(posed.theta, posed.phi))
     moved = posed.assigned | (False if posed.recorded is None else posed.recorded)
-    moves = find_moves(columns, own, fiber, theta, split_phi(columns, phi), moving=columns.usable)
-    fold = fold_of(columns, own, fiber, split_phi(columns, phi), moves.turn)
+    moves = _moves.find_moves(columns, own, fiber, theta, _moves.split_phi(columns, phi), moving=columns.usable)
+    fold = _moves.fold_of(columns, own, fiber, _moves.split_phi(columns, phi), moves.turn)
     rows = np.flatnonzero(~moved)
-    others = joined(moves, rows, idle, rows)
+    others = _moves.joined(moves, rows, idle, rows)
     # folded idle arms are no obstacles for each other
-    others = others._replace(x=np.where(moved | ~stays_folded(columns, True), others.x, np.nan))
+    others = others._replace(x=np.where(moved | ~_moves.stays_folded(columns, True), others.x, np.nan))
     if np.isfinite(idle.x[columns.usable]).any():
-        idle = turn_idle_arms(columns, idle, turning, np.arange(len(plane) + 1), others, same_speed)
-    moves = joined(moves, rows, idle, rows)
+        idle = _moves.turn_idle_arms(columns, idle, turning, np.arange(len(plane) + 1), others, same_speed)
+    moves = _moves.joined(moves, rows, idle, rows)
     center = plane.arrays.xy
     direction = np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0])
     return moves, np.where(moved, theta, direction), moved, fold

@@ -1,6 +1,6 @@
 """The motion of arms between folded poses and their targets, and the turning of folded arms, in numbers."""
 
-from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
@@ -48,12 +48,10 @@ def _to_fold(columns, own, fiber, phi, offset):
     """
     side = np.where(np.signbit(phi), -1.0, 1.0)
     turn = side * np.pi - (phi + offset)
-    low, high, zero = phi_limits(columns, own, fiber)
+    low, high, _ = phi_limits(columns, own, fiber)
     if np.isinf(low).all():
         return turn
-    with np.errstate(invalid="ignore"):
-        joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
-        joint = np.where(np.isinf(low), phi - zero, joint)
+    joint = _joint_phi(columns, own, fiber, phi)
     one, other = (np.clip(joint + way, low, high) - joint for way in (turn, turn - 2 * np.pi * side))
     return np.where(np.cos(phi + offset + other) < np.cos(phi + offset + one) - MUCH, other, one)
 
@@ -76,10 +74,16 @@ def _within_theta(columns, own, theta):
 
 def fold_of(columns, own, fiber, phi, turn):
     """Return the joint angle phi at which each arm is folded; 0 if phi has no limits."""
+    low, _, _ = phi_limits(columns, own, fiber)
+    return np.where(np.isinf(low), 0.0, _joint_phi(columns, own, fiber, phi) + turn)
+
+
+def _joint_phi(columns, own, fiber, phi):
+    """Return the joint angle phi for phi in the convention of the kernels; within the limits, if there are limits."""
     low, _, zero = phi_limits(columns, own, fiber)
     with np.errstate(invalid="ignore"):
         joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
-        return np.where(np.isinf(low), 0.0, joint + turn)
+    return np.where(np.isinf(low), phi - zero, joint)
 
 
 def phi_limits(columns, own, fiber):
@@ -194,31 +198,22 @@ def unfolding_obstacles(plane: FocalPlane, moves: motion.Moves, owner: np.ndarra
     return out
 
 
-@dataclass(frozen=True, eq=False)
 class Folded:
-    """The sizes of folded arms: distances (mm) from the center to the farthest points of the arms while they turn."""
+    """The sizes of folded arms: distances (mm) from the center to the farthest points of the arms while they turn.
 
-    eccentric: np.ndarray
-    central: np.ndarray
-    poses: list
-    """For each handedness and fiber type, the fiber index and phi of folded arms, in the convention of the kernels."""
+    All fibers and each handedness that plans may use are considered. ``poses`` contains, for each handedness and fiber
+    type, the fiber index and phi of folded arms, in the convention of the kernels.
+    """
 
-    @classmethod
-    def of(cls, columns) -> "Folded":
-        """Return the sizes of all folded arms, for all fibers and each handedness that plans may use."""
-        return _fold(columns)
-
-
-def _fold(columns) -> Folded:
-    plane, n = columns.plane, len(columns.plane)
-    own, outline = np.arange(n), plane.positioner.outline
-    sides = {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]
-    kinds = [columns.first_index] if columns.fibers is None else range(len(plane.fiber_types))
-    eccentric, central, poses = np.zeros(n), np.zeros(n), []
-    if outline is not None and len(outline.parts) > outline.n_eccentric:
-        central += outline.reach[1]
-    for side in sides:
-        for kind in kinds:
+    def __init__(self, columns):
+        plane, n = columns.plane, len(columns.plane)
+        own, outline = np.arange(n), plane.positioner.outline
+        sides = {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]
+        kinds = [columns.first_index] if columns.fibers is None else range(len(plane.fiber_types))
+        self.columns, self.eccentric, self.central, self.poses = columns, np.zeros(n), np.zeros(n), []
+        if outline is not None and len(outline.parts) > outline.n_eccentric:
+            self.central += outline.reach[1]
+        for side, kind in product(sides, kinds):
             fiber = np.broadcast_to(kind, n)
             # any pose of this handedness leads to the same fold; the arm is at a right angle here
             start = np.full(n, side * np.pi / 2)
@@ -226,9 +221,18 @@ def _fold(columns) -> Folded:
             start = zero + np.where(np.isinf(low), start - zero, np.clip(start - zero, low, high))
             start = split_phi(columns, start)
             moves = find_moves(columns, own, fiber, np.zeros(n), start)
-            eccentric = np.maximum(eccentric, _extent(columns, moves.angle + moves.turn, moves.length))
-            poses.append((fiber, start + moves.turn))
-    return Folded(eccentric, central, poses)
+            self.eccentric = np.maximum(self.eccentric, _extent(columns, moves.angle + moves.turn, moves.length))
+            self.poses.append((fiber, start + moves.turn))
+
+    @property
+    def touching(self) -> np.ndarray:
+        """Pairs of usable positioners whose folded arms can touch each other when they turn, shape (k, 2)."""
+        columns = self.columns
+        pairs = columns.neighbors[columns.usable[columns.neighbors].all(axis=1)]
+        (a, b), (p, q) = self.eccentric[pairs].T, self.central[pairs].T
+        apart = np.hypot(*(columns.xy[pairs[:, 0]] - columns.xy[pairs[:, 1]]).T)
+        size = np.maximum(a + b, np.maximum(a + q if q.any() else 0.0, b + p if p.any() else 0.0))
+        return pairs[size + columns.separation + motion.TOLERANCE > apart]
 
 
 def _extent(columns, angle, length):
@@ -248,15 +252,6 @@ def _extent(columns, angle, length):
     )
 
 
-def touching_folds(columns, folded: Folded) -> np.ndarray:
-    """Return the pairs of usable positioners whose folded arms can touch each other when they turn, shape (k, 2)."""
-    pairs = columns.neighbors[columns.usable[columns.neighbors].all(axis=1)]
-    (a, b), (p, q) = folded.eccentric[pairs].T, folded.central[pairs].T
-    apart = np.hypot(*(columns.xy[pairs[:, 0]] - columns.xy[pairs[:, 1]]).T)
-    size = np.maximum(a + b, np.maximum(a + q if q.any() else 0.0, b + p if p.any() else 0.0))
-    return pairs[size + columns.separation + motion.TOLERANCE > apart]
-
-
 class Turning:
     """The directions to which the folded arms can turn beside broken arms and obstacles.
 
@@ -266,14 +261,14 @@ class Turning:
     is the *usual* arc.
     """
 
-    def __init__(self, columns, folded: Folded, broken: motion.Moves):
-        first = columns.plane.arrays
+    def __init__(self, columns, broken: motion.Moves):
+        first, self.folded = columns.plane.arrays, Folded(columns)
         self._lines, self._usual = {}, {}
         home = first.from_joints(*first.home, np.arange(len(first.usable)), first.first_index)[0]
-        for i, (others, obstacles) in _near(first, folded, broken).items():
+        for i, (others, obstacles) in _near(first, self.folded, broken).items():
             free = np.ones(N_BINS, dtype=bool)
-            for fiber, phi in folded.poses:
-                free &= _free_bins(first, i, fiber, phi, folded.eccentric[i], broken, others, obstacles)
+            for fiber, phi in self.folded.poses:
+                free &= _free_bins(first, i, fiber, phi, self.folded.eccentric[i], broken, others, obstacles)
             self._lines[i] = _line(first, i, free)
             size = np.bincount(self._lines[i][1], minlength=2)
             size[0] = 0  # directions that are not free
@@ -335,9 +330,16 @@ def _near(columns, folded, broken):
         points = columns.obstacles[j : j + 1, :2] if j < n else columns.obstacle_polygons[j - n]
         radius = columns.obstacles[j, 2] if j < n else np.hypot(*np.ptp(points, axis=0))
         apart = np.hypot(*(points - columns.xy[i]).T).min() - radius
-        if apart <= max(folded.eccentric[i], folded.central[i]) + columns.clearance + motion.TOLERANCE:
+        if apart <= own[i] + columns.clearance + motion.TOLERANCE:
             found.setdefault(i, ([], []))[1].append(j)
     return found
+
+
+def _segments_of(moves):
+    """Return the segments of arms at the begin of their motion, shape (4, n)."""
+    c, s = np.cos(moves.angle), np.sin(moves.angle)
+    near = [moves.x + moves.inner * c, moves.y + moves.inner * s]
+    return np.array([*near, moves.x + moves.length * c, moves.y + moves.length * s])
 
 
 def _free_bins(columns, i, fiber, phi, size, broken, others, obstacles):
@@ -345,20 +347,10 @@ def _free_bins(columns, i, fiber, phi, size, broken, others, obstacles):
     theta = (np.arange(N_BINS) + 0.5) * BIN
     own = np.full(N_BINS, i)
     moves = find_moves(columns, own, np.full(N_BINS, fiber[i]), theta, np.full(N_BINS, phi[i]), moving=False)
-    c, s = np.cos(moves.angle), np.sin(moves.angle)
-    near = [moves.x + moves.inner * c, moves.y + moves.inner * s]
-    segments = np.array([*near, moves.x + moves.length * c, moves.y + moves.length * s])
+    segments, fixed = _segments_of(moves), _segments_of(broken)
     outline = columns.plane.positioner.outline
     slack = 0.5 * BIN * max(size, 0.0 if outline is None else outline.reach[1]) + motion.TOLERANCE
     gaps = np.full(N_BINS, np.inf)
-    fixed = np.array(
-        [
-            broken.x + broken.inner * np.cos(broken.angle),
-            broken.y + broken.inner * np.sin(broken.angle),
-            broken.x + broken.length * np.cos(broken.angle),
-            broken.y + broken.length * np.sin(broken.angle),
-        ]
-    )
     for j in others:
         both = np.ascontiguousarray(np.hstack([segments, fixed[:, [j]]]))
         found = np.empty(N_BINS)

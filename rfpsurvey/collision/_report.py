@@ -1,4 +1,4 @@
-"""The result of `find_collisions`."""
+"""The static collisions of one configuration."""
 
 from dataclasses import dataclass
 from functools import cached_property

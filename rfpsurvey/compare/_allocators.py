@@ -1,20 +1,40 @@
-"""Compare several allocators on the same field."""
+"""Comparison of allocators on one field, and the plans of each allocator for the fields of several instruments."""
 
 import logging
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from numbers import Number
+from zlib import crc32
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
-from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, name_of_best, warn_of_unused_options
-from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import allocators_of, on_kind, plan_of
-from rfpsurvey.errors import RfpsurveyWarning, check_switch, used_elsewhere
+from rfpsurvey._executors import map_with_progress
+from rfpsurvey._roles import has_role
+from rfpsurvey._units import to_center, to_generator
+from rfpsurvey.allocation import METHODS, OPTIONS, AllocationOptions, as_options, name_of_best, warn_of_unused_options
+from rfpsurvey.catalog import Catalog, as_catalog, synthetic_catalog
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    RfpsurveyWarning,
+    check_switch,
+    check_whole,
+    is_real,
+    refusal,
+    short,
+    used_elsewhere,
+    warn,
+)
+from rfpsurvey.focal_plane import FocalPlane, on_footprint
 from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.pipeline import project_field
+from rfpsurvey.positioner import Positioner
 from rfpsurvey.tile import Tile, plan_tile
 
 # Largest number of priority classes for which the table has separate columns.
@@ -151,3 +171,154 @@ def _row(name, tile, blind):
         "gap": plan.gap,
         "seconds": plan.seconds,
     }
+
+
+SAMPLE = 100_000
+
+
+@dataclass(frozen=True, eq=False)
+class Field:
+    """A field of an instrument, with its targets."""
+
+    instrument: Instrument
+    catalog: Catalog
+    center: SkyCoord
+    seed: int
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Numbers of fibers, targets and collisions in the plan that an allocator made for a field."""
+
+    n_targets: int
+    n_science: int
+    n_usable: int
+    n_pairs: int
+    probability: np.ndarray
+    """For each positioner: 1 if it is in collision, 0 if it is not, NaN if it is not counted."""
+    gap: float
+    seconds: float
+
+
+def allocators_of(allocators, options: AllocationOptions | None, others: dict) -> list[AllocationOptions]:
+    """Return a set of options for each allocator to compare; the sets differ only in the allocator."""
+    methods = [allocators] if isinstance(allocators, str) or callable(allocators) else allocators
+    if not isinstance(methods, list | tuple):
+        raise InputTypeError(f"allocators must be a list of allocators, got {short(allocators)}")
+    if "allocator" in others:
+        raise InputError("the allocators to compare must be given as allocators=, got the argument allocator")
+    if not methods:
+        raise InputError("allocators must name at least one allocator, got none")
+    common = AllocationOptions() if options is None else as_options(options)
+    common.check_for_fields("a comparison")
+    methods = [method for k, method in enumerate(methods) if method not in methods[:k]]
+    return [replace(common, allocator=method) for method in methods]
+
+
+def synthetic_fields(kind, models, center, each, density, number, rng) -> list[Field]:
+    """Return fields of random targets for each instrument, with the same density per positioner or per solid angle."""
+    check_whole(number, "n_realizations", 1, 1_000_000)
+    if not is_real(each) or not 0 < each < np.inf:
+        raise refusal("targets_per_positioner must be a positive number", each, Number)
+    center = SkyCoord(0 * u.deg, 0 * u.deg) if center is None else center
+    seed, fields = int(to_generator(rng).integers(2**63)), []
+    for model in models:
+        size = {"density": density}
+        if density is None:
+            expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
+            size = {"n_targets": round(expected) if kind == "uniform" else expected}
+        # the seed depends on the name of the instrument, which thus has the same targets in each comparison
+        own = np.random.default_rng([seed, crc32(model.name.encode())])
+        for one in own.spawn(int(number)):
+            sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)
+            fields.append(Field(model, sky, center, int(one.integers(2**31))))
+    return fields
+
+
+def _part_on_footprint(model: Instrument, center: SkyCoord) -> float:
+    """Return the fraction of targets inside the footprint, if targets are uniformly distributed in the field."""
+    sky = synthetic_catalog("uniform", center, model.field_radius, n_targets=SAMPLE, rng=0)
+    xy, _ = project_field(model, model.projection(center).plain, sky.arrays.vectors)
+    return float(on_footprint(model.focal_plane, xy).mean())
+
+
+def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
+    """Return fields of a catalog for each instrument, with the same centers for all instruments."""
+    if len(catalog) == 0:
+        raise InputError("the catalog must have at least one target with finite coordinates, got none")
+    centers = catalog.mean_direction if center is None else center
+    centers = to_center(centers) if isinstance(centers, str) else centers
+    if not isinstance(centers, SkyCoord) or centers.ndim > 1 or centers.size == 0:
+        raise refusal("center must be a SkyCoord with one direction or a list of directions", center, SkyCoord)
+    centers = centers.reshape(-1)
+    seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
+    return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]
+
+
+def plan_fields(
+    fields: list[Field], allocators: list[AllocationOptions], others: dict, executor: Executor | None, progress: bool
+) -> list[list[Plan]]:
+    """Plan every field with the allocator that ignores collisions, then with each of ``allocators``."""
+    options = _for_instruments((replace(allocators[0], allocator=name_of_best()), *allocators), fields)
+    asked = [options[field.instrument.name] for field in fields]
+    return map_with_progress(executor, progress, "fields", partial(plan_field, others=others), fields, asked)
+
+
+def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[AllocationOptions]]:
+    """Return the options of all allocators for each instrument; the same warning is issued only once."""
+    models = {field.instrument.name: field.instrument for field in fields}
+    with warnings.catch_warnings(record=True) as told:
+        warnings.simplefilter("always", RfpsurveyWarning)
+        found = {name: [one.for_instrument(model) for one in allocators] for name, model in models.items()}
+    for text in dict.fromkeys(str(one.message) for one in told):
+        warn(text)
+    return found
+
+
+def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
+    """Plan a field with each allocator, and return one `Plan` per allocator."""
+    found = []
+    for options in allocators:
+        if options.name in METHODS:
+            _compile(options.name, options.start)
+        try:
+            with used_elsewhere(*OPTIONS):  # allocators use different options
+                tile = plan_tile(
+                    field.catalog, field.instrument, field.center, allocator=options, **{"rng": field.seed, **others}
+                )
+        except InputError as error:
+            raise InputError(f"{field.instrument.name}: {error}") from None
+        found.append(plan_of(tile))
+    return found
+
+
+def plan_of(tile: Tile) -> Plan:
+    """Return the numbers of fibers, targets and collisions of a tile."""
+    table, summary = tile.table, tile.summary
+    counted = np.isin(table["status"], ("assigned", "out_of_reach", "parked"))
+    return Plan(
+        summary["n_reachable"],
+        on_kind(tile, "science"),
+        int(np.count_nonzero(has_role(table["kind"], "science") & ~table["in_collision"])),
+        summary["n_colliding_pairs"],
+        np.where(counted, table["in_collision"], np.nan),
+        np.nan if summary["gap"] is None else summary["gap"],
+        summary["seconds"]["reach"] + summary["seconds"]["allocation"],
+    )
+
+
+def on_kind(tile, kind: str) -> int:
+    """Return the number of fibers with a target of the given kind."""
+    return int(np.count_nonzero(has_role(tile.table["kind"], kind)))
+
+
+@cache
+def _compile(allocator: str, start: str) -> None:
+    """Plan a small field once in each process, so that the measured times do not include compilation."""
+    robot = Positioner(7.4 * u.mm, 15 * u.mm, 1.5 * u.mm)
+    small = Instrument(
+        "small", FocalPlane.hexagonal(robot, rings=2, pitch=22.4 * u.mm), plate_scale=1 * u.mm / u.arcmin
+    )
+    center = SkyCoord(0 * u.deg, 0 * u.deg)
+    sky = synthetic_catalog("uniform", center, small.field_radius, n_targets=40, rng=1)
+    plan_tile(sky, small, center, allocator=AllocationOptions(allocator, start=start))

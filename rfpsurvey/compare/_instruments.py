@@ -13,7 +13,7 @@ from astropy.table import QTable, Table
 from rfpsurvey._units import to_scalar
 from rfpsurvey.allocation import AllocationOptions, name_of_best, packages, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, as_catalog
-from rfpsurvey.compare._fields import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
+from rfpsurvey.compare._allocators import Plan, allocators_of, catalog_fields, plan_fields, synthetic_fields
 from rfpsurvey.errors import InputError, check_choice, items_of
 from rfpsurvey.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey.probability import rate_interval
@@ -45,18 +45,10 @@ CAUTION = (
     "the descriptions of the instruments; most layouts are nominal lattices. Idle positioners with arms of "
     "equal length are obstacles; idle positioners with arms of unequal length avoid all other arms."
 )
+REACH = tuple(f"reach_{k}" for k in range(4))
+"""Columns with the fractions of the footprint within reach of 0, 1, 2, and at least 3 positioners."""
 PARTS = {
-    "instruments": (
-        "positioners",
-        "field",
-        "footprint",
-        "type",
-        "multiplicity",
-        "reach_0",
-        "reach_1",
-        "reach_2",
-        "reach_3",
-    ),
+    "instruments": ("positioners", "field", "footprint", "type", "multiplicity", *REACH),
     "targets and fibers per field": (
         "allocator",
         "targets",
@@ -278,8 +270,7 @@ def _describe(model: Instrument) -> dict:
         "footprint": plane.footprint.to_value(u.mm**2),
         "type": plane.collision_type,
         "multiplicity": float(np.arange(len(parts)) @ parts),
-        **{f"reach_{k}": float(exact[k]) for k in range(3)},
-        "reach_3": float(exact[3:].sum()),
+        **dict(zip(REACH, [*exact[:3].tolist(), float(exact[3:].sum())], strict=True)),
     }
 
 

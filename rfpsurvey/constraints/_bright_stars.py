@@ -8,13 +8,12 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._readers import parse_number
+from rfpsurvey._settings import option
 from rfpsurvey._units import exact_text
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import check_text
-from rfpsurvey.constraints._stars import StarRule
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_keywords, number_of, refusal
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
+from rfpsurvey.constraints._rule import StarRule
+from rfpsurvey.errors import InputError, check_keywords, number_of, refusal, refusing
 
 CORE = {"sdssv_bright": (1.75, 0.6), "sdssv_dark": (1.5, 0.8)}
 """Factor (arcsec) and exponent of the core of a star in bright and in dark time, as in mugatu (BSD-3) of SDSS-V."""
@@ -64,21 +63,13 @@ class BrightStars(StarRule):
     'bright_stars gaia_g 8:60,12:10 BOSS'
     """
 
-    column: str
-    radius: str | list | Callable
-    fiber_type: str = ""
-    stars: Catalog | str | None = None
-    idle: str = "ignored"
+    column: str = option(what="the column of bright stars")
+    radius: str | list | Callable = option(convert=lambda radius: radius if callable(radius) else _text_of(radius))
+    fiber_type: str = option("", what="fiber_type of bright stars")
+    stars: Catalog | str | None = option(None, words="a Catalog or the path of its file")
+    idle: str = option("ignored", choices=IDLE, what="treatment of idle positioners")
 
     name = "bright_stars"
-
-    def __post_init__(self):
-        check_text(self.column, "the column of bright stars")
-        check_text(self.fiber_type, "fiber_type of bright stars", empty=True)
-        if not callable(self.radius):
-            object.__setattr__(self, "radius", _text_of(self.radius))
-        self._check_stars()
-        check_choice(self.idle, IDLE, "treatment of idle positioners")
 
     @property
     def with_idle(self) -> bool:
@@ -158,17 +149,11 @@ class BrightStars(StarRule):
 
 def _text_of(radius: object) -> str:
     """Return the text of a table or formula of radii; raise an error if it is not valid."""
-    try:
-        pairs = (
-            radius
-            if isinstance(radius, str)
-            else ",".join(f"{exact_text(float(m))}:{exact_text(float(r))}" for m, r in radius)
-        )
+    with refusing(f"the radius around bright stars must be {FORM}", radius, str, list):
+        pairs = radius
+        if not isinstance(radius, str):
+            pairs = ",".join(f"{exact_text(float(m))}:{exact_text(float(r))}" for m, r in radius)
         _function_of(pairs)
-    except InputError:
-        raise
-    except INCONVERTIBLE:
-        raise refusal(f"the radius around bright stars must be {FORM}", radius, str, list) from None
     return pairs
 
 

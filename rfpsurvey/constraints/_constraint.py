@@ -1,7 +1,7 @@
-"""The interface of all constraints, and the description of a field that constraints receive."""
+"""The interface of all constraints, and how allocators honor constraints."""
 
 import shlex
-from dataclasses import MISSING, dataclass, fields, replace
+from dataclasses import MISSING, dataclass, fields
 from functools import cached_property
 from hashlib import sha256
 from typing import TYPE_CHECKING, ClassVar
@@ -9,11 +9,8 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rfpsurvey._readers import parse_number
-from rfpsurvey._units import values_at
-from rfpsurvey.constraints._abilities import EXACTLY, LEVELS, ONLY_CHECKED, Abilities
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
 from rfpsurvey.errors import INCONVERTIBLE, InputError, listed, number_of
-from rfpsurvey.projection import FieldProjection
 
 if TYPE_CHECKING:
     from rfpsurvey.instrument import Instrument
@@ -21,138 +18,31 @@ if TYPE_CHECKING:
 MOST_LISTED, NO_CIRCLES = 5, np.empty((0, 3))
 
 
-@dataclass(frozen=True, eq=False)
-class ConstraintField:
-    """The targets in a field and near its edge, as constraints receive them; arrays have one element per target.
+EXACTLY, AS_GOAL, ONLY_CHECKED = "exactly", "as a goal", "only checked"
+LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
+
+
+@dataclass(frozen=True)
+class Abilities:
+    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
 
     Parameters
     ----------
-    instrument : Instrument
-        The instrument.
-    projection : FieldProjection or None
-        Projection of the sky onto the focal plane; None if only positions on the focal plane are known.
-    vectors : ndarray of float, shape (n, 3)
-        Directions of the targets as ICRS unit vectors; NaN if they are not known.
-    xy : ndarray of float, shape (n, 2)
-        Positions of the targets on the focal plane in mm; NaN for targets outside the image.
-    id : ndarray
-        Identifiers of the targets (integers or text).
-    is_available : ndarray of bool
-        Whether each target can be observed in this field. The other targets are outside the field, or have no
-        remaining visits; a constraint can exclude targets that are close to them.
-    kind : ndarray of str
-        Kind of each target: ``science``, ``standard`` or ``sky``.
-    category : ndarray of str
-        Category of each target; empty text if it has none.
-    priority : ndarray of float
-        Priority of each target.
-    extra : dict
-        Further columns of the catalog, by name.
-    is_complete : bool, optional
-        Whether the field contains all targets of the catalog in the field; False if only the targets are known that
-        have a fiber, as in the plan of another program.
-    has_kinds : bool, optional
-        Whether the kinds of the targets are known; False for the plan of another program that does not contain them.
-    fiber_type : ndarray of str, optional
-        Fiber type that each target requires, or has in a finished plan; empty text if it is not known. By default, it
-        is not known.
-    is_added : ndarray of bool, optional
-        Whether each target is a sky position that is not in the catalog; its identifier has no meaning.
+    obstacles : str
+        Whether arms avoid obstacles.
+    precedence : str
+        Whether some targets take precedence over all other targets.
+    counts, distribution : str
+        Whether numbers of targets are met, and whether science fibers have enough neighbors.
+    motion : str
+        Whether arms unfold without collisions.
     """
 
-    instrument: "Instrument"
-    projection: FieldProjection | None
-    vectors: np.ndarray
-    xy: np.ndarray
-    id: np.ndarray
-    is_available: np.ndarray
-    kind: np.ndarray
-    category: np.ndarray
-    priority: np.ndarray
-    extra: dict
-    is_complete: bool = True
-    has_kinds: bool = True
-    fiber_type: np.ndarray | None = None
-    is_added: np.ndarray | None = None
-
-    def __post_init__(self):
-        for name, usual in (("fiber_type", ""), ("is_added", False)):
-            if getattr(self, name) is None:
-                object.__setattr__(self, name, np.broadcast_to(usual, len(self.id)))
-
-    def column(self, name: str) -> np.ndarray:
-        """Return a further column of the catalog, such as a magnitude.
-
-        Parameters
-        ----------
-        name : str
-            Name of the column.
-
-        Returns
-        -------
-        ndarray
-            One value per target; NaN, empty text, False or -1 for a sky position that rfpsurvey adds.
-
-        Raises
-        ------
-        InputError
-            If the catalog has no column of this name.
-        """
-        if name not in self.extra:
-            known = f"{listed(self.extra, 8)} (further columns are read by keep= or --set catalog.keep=NAME)"
-            raise InputError(f"the catalog must have the column {name!r}, but its further columns are: {known}")
-        return self.extra[name]
-
-    def is_near(self, centers: np.ndarray, radius_rad: float) -> np.ndarray:
-        """Return whether each target is within an angle of at least one of several directions.
-
-        Parameters
-        ----------
-        centers : ndarray of float, shape (k, 3)
-            Unit vectors.
-        radius_rad : float
-            The angle in radians.
-
-        Returns
-        -------
-        ndarray of bool
-            One value per target.
-        """
-        from scipy.spatial import cKDTree
-
-        near, there = np.zeros(len(self.vectors), dtype=bool), np.isfinite(self.vectors).all(axis=1)
-        centers = centers[np.isfinite(centers).all(axis=1)]
-        if len(centers) and there.any():
-            near[there] = cKDTree(centers).query(self.vectors[there])[0] <= 2 * np.sin(min(radius_rad, np.pi) / 2)
-        return near
-
-    def with_blank_sky(
-        self, vectors: np.ndarray, xy: np.ndarray, fiber_type: np.ndarray | None = None
-    ) -> "ConstraintField":
-        """Return the field with additional available targets of the kind ``sky``, which have no other properties.
-
-        Parameters
-        ----------
-        vectors : ndarray of float, shape (k, 3)
-            Directions of the sky positions.
-        xy : ndarray of float, shape (k, 2)
-            Positions on the focal plane in mm.
-        fiber_type : ndarray of str, shape (k,), optional
-            Fiber type that each sky position requires; by default, it is not known.
-
-        Returns
-        -------
-        ConstraintField
-            The field, whose last k targets are the sky positions.
-        """
-        rows = np.append(np.arange(len(self.id)), np.full(len(xy), -1))
-        columns = {name: values_at(getattr(self, name), rows) for name in ("id", "category", "priority")}
-        columns["extra"] = {name: values_at(values, rows) for name, values in self.extra.items()}
-        more = {"vectors": vectors, "xy": xy, "is_available": np.ones(len(xy), bool), "kind": np.full(len(xy), "sky")}
-        more["is_added"] = np.ones(len(xy), dtype=bool)
-        more["fiber_type"] = np.full(len(xy), "") if fiber_type is None else fiber_type
-        columns.update((name, np.concatenate([getattr(self, name), values])) for name, values in more.items())
-        return replace(self, **columns)
+    obstacles: str = ONLY_CHECKED
+    precedence: str = ONLY_CHECKED
+    counts: str = ONLY_CHECKED
+    distribution: str = ONLY_CHECKED
+    motion: str = ONLY_CHECKED
 
 
 class Constraint:

@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import Rule, check_number, check_text
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_keywords, check_whole
+from rfpsurvey._settings import Checked, option
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
+from rfpsurvey.constraints._rule import Rule
+from rfpsurvey.errors import InputError, check_keywords
 
 
 @check_keywords
 @dataclass(frozen=True)
-class Distribution(Rule):
+class Distribution(Checked, Rule):
     """A smallest percentage of the science fibers that have sky fibers (or standards) within a distance.
 
     ``optimal`` and ``repair`` follow the rule as a goal; other allocators only check it. SDSS-V compares the percentile
@@ -44,22 +44,17 @@ class Distribution(Rule):
     'distribution sky 1 95 75 BOSS'
     """
 
-    what: str
-    k: int
-    percent: float
-    distance_mm: float
-    fiber_type: str = ""
+    what: str = option(what="the kind of fibers of a distribution")
+    k: int = option(what="k of a distribution")
+    percent: float = option(low=0, high=100, what="percent of a distribution")
+    distance_mm: float = option(low=0, high=1e6, what="distance_mm of a distribution")
+    fiber_type: str = option("", what="fiber_type of a distribution")
 
     name = "distribution"
 
-    def __post_init__(self):
-        check_text(self.what, "the kind of fibers of a distribution")
+    def _check(self) -> None:
         if self.what == "science":
             raise InputError("the kind of fibers of a distribution must not be 'science', whose neighbors are counted")
-        check_text(self.fiber_type, "fiber_type of a distribution", empty=True)
-        check_whole(self.k, "k of a distribution")
-        check_number(self.percent, "percent of a distribution", 0, 100)
-        check_number(self.distance_mm, "distance_mm of a distribution", 0, 1e6)
 
     @property
     def distributions(self) -> tuple["Distribution"]:

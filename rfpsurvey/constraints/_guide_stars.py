@@ -7,12 +7,11 @@ from typing import ClassVar
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._settings import option
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._rule import check_limits, check_text
-from rfpsurvey.constraints._stars import StarRule
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, listed, number_of, refusal
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
+from rfpsurvey.constraints._rule import StarRule, check_limits, limit_option
+from rfpsurvey.errors import InputError, check_choice, check_keywords, listed, number_of, refusal
 
 BEYOND = 1.1
 """Factor by which radial maps are continued beyond their largest field angle, because cameras can be there."""
@@ -64,13 +63,13 @@ class GuideStars(StarRule):
     'guide_stars gaia_g -inf 8 0 0 gfa3'
     """
 
-    column: str
-    brightest: float
-    faintest: float
-    minimum: int
-    maximum: float = np.inf
-    camera: str = ""
-    stars: Catalog | str | None = None
+    column: str = option(what="the column of guide stars")
+    brightest: float = limit_option()
+    faintest: float = limit_option()
+    minimum: int = option(low=0, what="the minimum of guide stars")
+    maximum: float = limit_option(np.inf)
+    camera: str = option("", what="the camera of guide stars")
+    stars: Catalog | str | None = option(None, words="a Catalog or the path of its file")
 
     name = "guide_stars"
     before_fibers = True
@@ -78,11 +77,8 @@ class GuideStars(StarRule):
     _cameras: ClassVar[dict] = {}
     _farthest: ClassVar[float] = 0.0
 
-    def __post_init__(self):
-        check_text(self.column, "the column of guide stars")
-        check_text(self.camera, "the camera of guide stars", empty=True)
-        check_limits(self.column, self.brightest, self.faintest)
-        check_whole(self.minimum, "the minimum of guide stars", 0)
+    def _check(self) -> None:
+        check_limits(self)
         maximum = self.maximum
         fits = isinstance(maximum, int | float | np.number) and maximum >= self.minimum
         if not fits or isinstance(maximum, bool) or (np.isfinite(maximum) and maximum % 1):
@@ -91,7 +87,7 @@ class GuideStars(StarRule):
         object.__setattr__(self, "maximum", int(maximum) if np.isfinite(maximum) else np.inf)
         if self.minimum == 0 and self.maximum == np.inf:
             raise InputError("guide stars must have a minimum above 0 or a maximum, got neither")
-        self._check_stars()
+        super()._check()
 
     def for_instrument(self, instrument: object) -> "GuideStars":
         """Return the rule with the cameras of an instrument.
@@ -119,14 +115,11 @@ class GuideStars(StarRule):
         if self.camera:
             check_choice(self.camera, cameras, f"camera of {instrument.name}")
             cameras = {self.camera: cameras[self.camera]}
-        object.__setattr__(found, "_cameras", cameras)
         image, corners = instrument.field_projection(0.0, 0.0, 0.0).beyond(BEYOND), np.vstack(list(cameras.values()))
         angle = np.arccos(np.clip(image.unproject(corners)[:, 0], -1, 1))
         angle = np.where(np.isnan(angle), np.hypot(*corners.T) / image.focal_length, angle).max()
-        object.__setattr__(found, "_farthest", angle)
-        if self.stars is None:
-            margin = MARGIN * angle - instrument.field_radius.to_value(u.rad)
-            object.__setattr__(found, "margin_rad", float(np.clip(margin, 0, np.pi)))
+        margin = MARGIN * angle - instrument.field_radius.to_value(u.rad) if self.stars is None else 0.0
+        found.__dict__.update(_cameras=cameras, _farthest=angle, margin_rad=float(np.clip(margin, 0, np.pi)))
         return found
 
     def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:

@@ -7,7 +7,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_lonlat
-from rfpsurvey.constraints._constraint import Constraint, ConstraintField
+from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._field import ConstraintField
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
 from rfpsurvey.projection import FieldProjection
 from rfpsurvey.region import Region

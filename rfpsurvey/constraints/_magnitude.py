@@ -1,14 +1,14 @@
-"""The rule `MagnitudeLimits`: the brightest and the faintest allowed magnitude of targets in one band."""
+"""The rules `MagnitudeLimits` and `Contrast`, on the magnitudes of targets and of neighbors on the detector."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey.constraints._constraint import ConstraintField
-from rfpsurvey.constraints._requirement import hint_of_name
-from rfpsurvey.constraints._rule import Rule, check_limits, check_text
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import check_choice, check_keywords, number_of
+from rfpsurvey._settings import Checked, option
+from rfpsurvey.constraints._counts import hint_of_name
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
+from rfpsurvey.constraints._rule import Rule, check_limits, limit_option
+from rfpsurvey.errors import check_keywords, number_of
 
 NONE = "no fiber has such a target"
 MISSING = ("allowed", "refused")
@@ -16,7 +16,7 @@ MISSING = ("allowed", "refused")
 
 @check_keywords
 @dataclass(frozen=True)
-class MagnitudeLimits(Rule):
+class MagnitudeLimits(Checked, Rule):
     """Limits of the magnitude of targets in one band; targets that are not between them are excluded.
 
     Magnitudes that equal a limit are outside the limits, as in the check of designs by SDSS-V. NaN, 0 and values of at
@@ -47,22 +47,18 @@ class MagnitudeLimits(Rule):
     'magnitude h 7 13 standard APOGEE allowed'
     """
 
-    column: str
-    brightest: float
-    faintest: float
-    what: str = ""
-    fiber_type: str = ""
-    missing: str = "allowed"
+    column: str = option(what="the column of magnitude limits")
+    brightest: float = limit_option()
+    faintest: float = limit_option()
+    what: str = option("", what="what of magnitude limits")
+    fiber_type: str = option("", what="fiber_type of magnitude limits")
+    missing: str = option("allowed", choices=MISSING, what="treatment of missing magnitudes")
 
     name = "magnitude"
     uses_targets = False
 
-    def __post_init__(self):
-        check_text(self.column, "the column of magnitude limits")
-        for name in ("what", "fiber_type"):
-            check_text(getattr(self, name), f"{name} of magnitude limits", empty=True)
-        check_limits(self.column, self.brightest, self.faintest)
-        check_choice(self.missing, MISSING, "treatment of missing magnitudes")
+    def _check(self) -> None:
+        check_limits(self)
 
     def excluded(self, field: ConstraintField) -> np.ndarray | None:
         """Return which targets are outside the limits.
@@ -108,3 +104,62 @@ class MagnitudeLimits(Rule):
         limit = f"no {self.column} of {' or '.join(words)}"
         note = f"{known} of {number_of(n, 'target')} with a magnitude"
         return Verdict(str(self), len(rows), limit, FAIL if len(rows) else PASS, note, rows=rows)
+
+
+@check_keywords
+@dataclass(frozen=True)
+class Contrast(Checked, Rule):
+    """The largest difference of magnitude between two fibers that are neighbors on the slit.
+
+    The rule is only checked, and only in plans that contain the order on the slit: two fibers are neighbors if their
+    numbers in the column ``order`` differ by 1. Fibers without a magnitude, such as sky fibers, are ignored.
+
+    Parameters
+    ----------
+    column : str
+        Column with the magnitude.
+    largest : float
+        Largest allowed difference of magnitude.
+    fiber_type : str, optional
+        Fiber type; by default, all fibers are on one slit.
+    order : str, optional
+        Column with the numbers of the fibers on the slit.
+
+    Raises
+    ------
+    InputError
+        If an argument is not valid.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> str(rs.constraints.Contrast("h", 5, "APOGEE"))
+    'contrast h 5 APOGEE fiberId'
+    """
+
+    column: str = option(what="the column of the contrast")
+    largest: float = option(low=0, high=1e3, what="the largest contrast")
+    fiber_type: str = option("", what="fiber_type of the contrast")
+    order: str = option("fiberId", what="the column with the order on the slit")
+
+    name = "contrast"
+    uses_targets = False
+
+    def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
+        """Return the largest difference of magnitude between neighbors on the slit, and the number of pairs."""
+        if why := self._lacks(field, ""):
+            return self._not_checkable(why)
+        if self.order not in field.extra or field.is_complete:  # the numbers in a catalog are not those of the fibers
+            return self._not_checkable(f"the order on the slit (column {self.order!r}) is unknown")
+        m, number = self._magnitudes(field), np.asarray(field.extra[self.order])
+        rows = np.flatnonzero(has_fiber & self._concerns(field, "") & np.isfinite(m) & (number >= 0))
+        rows = rows[np.argsort(number[rows], kind="stable")]
+        first = np.flatnonzero(np.diff(number[rows]) == 1)
+        if len(first) == 0:
+            return self._not_checkable("the plan does not have neighbors on the slit with magnitudes")
+        step = np.abs(np.diff(m[rows]))[first]
+        wrong = first[step > self.largest]
+        rows = np.unique(np.append(rows[wrong], rows[wrong + 1]))
+        note = f"{number_of(len(first), 'pair')} of neighbors, {len(wrong)} of them above the limit"
+        limit = f"difference of magnitude of at most {self.largest:g}"
+        return Verdict(str(self), step.max(), limit, FAIL if len(wrong) else PASS, note, rows=rows)

@@ -5,10 +5,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey.collision import LAWS, Folded, touching_folds
-from rfpsurvey.constraints._constraint import Constraint, ConstraintField
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
-from rfpsurvey.errors import InputError, check_choice, check_keywords, listed, number_of, warn
+from rfpsurvey._settings import Checked, option
+from rfpsurvey.collision import LAWS, Folded
+from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 
 MOTIONS = ("fold",)
 MOST_LISTED = 5
@@ -24,7 +25,7 @@ def law_of(constraints: Iterable[Constraint]) -> str:
 
 @check_keywords
 @dataclass(frozen=True)
-class Motion(Constraint):
+class Motion(Checked, Constraint):
     """Arms reach their targets by a simple motion without collisions: all arms fold, turn and unfold.
 
     The text form is ``motion fold`` or ``motion fold same_speed``. `~rfpsurvey.collision.find_motion` describes the
@@ -50,15 +51,11 @@ class Motion(Constraint):
     (Motion(motion='fold', law='same_duration'),)
     """
 
-    motion: str
-    law: str = LAWS[0]
+    motion: str = option(choices=MOTIONS, what="kind of motion")
+    law: str = option(LAWS[0], choices=LAWS, what="law of time")
 
     name = "motion"
     uses_targets = False
-
-    def __post_init__(self):
-        check_choice(self.motion, MOTIONS, "kind of motion")
-        check_choice(self.law, LAWS, "law of time")
 
     @property
     def motion_law(self) -> str:
@@ -80,7 +77,7 @@ class Motion(Constraint):
         """
         if instrument is not None:
             plane = instrument.focal_plane
-            pairs = touching_folds(plane.arrays, Folded.of(plane.arrays))
+            pairs = Folded(plane.arrays).touching
             if len(pairs):
                 names = ["-".join(row) for row in plane.id.astype(str)[pairs].tolist()]
                 warn(

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from rfpsurvey._units import to_labels, to_plain
-from rfpsurvey.constraints._constraint import Constraint, ConstraintField
-from rfpsurvey.constraints._verdict import FAIL, PASS, Verdict
+from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._field import FAIL, PASS, ConstraintField, Verdict
 from rfpsurvey.errors import InputError, InputTypeError, brief, check_keywords, short
 
 

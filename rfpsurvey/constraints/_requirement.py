@@ -9,7 +9,7 @@ import numpy as np
 
 from rfpsurvey._roles import KINDS, has_role
 from rfpsurvey.constraints._constraint import Constraint
-from rfpsurvey.constraints._group import Group
+from rfpsurvey.constraints._counts import Group
 from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, items_of, listed, refusal, short
 
 NUMBERS = r"(?:([0-9]{1,9})|([0-9]{1,9})?\s*-\s*([0-9]{1,9}))"
@@ -71,6 +71,23 @@ class Requirement(Constraint):
         """The requirement itself."""
         return (self,)
 
+    def missed_limit(self, n: int) -> int | None:
+        """Return the limit that a number of targets misses.
+
+        Parameters
+        ----------
+        n : int
+            The number of targets.
+
+        Returns
+        -------
+        int or None
+            The minimum or the maximum; None if the number is between them.
+        """
+        if n < self.minimum:
+            return self.minimum
+        return self.maximum if self.maximum is not None and n > self.maximum else None
+
     def groups(self, problem: object) -> list[Group]:
         """Return the groups of targets and fibers to each of which the minimum and the maximum apply.
 
@@ -107,6 +124,13 @@ class Requirement(Constraint):
     def __post_init__(self):
         if not isinstance(self.what, str) or not self.what.strip():
             raise refusal("a requirement must contain the name of a kind or category of targets", self.what, str)
+        roles = {role.strip() for role in self.what.lower().split("+")}
+        if len(roles) > 1 and roles <= {*KINDS}:
+            each = " and ".join(f"{role}={self.minimum}" for role in KINDS if role in roles)
+            raise InputError(
+                f"a requirement must contain one role, got {short(self.what)}; targets with several roles count toward "
+                f"the requirements on each of them, such as {each}"
+            )
         if not isinstance(self.fiber_type, str):
             raise refusal(f"fiber_type of {self.what!r} must be a name", self.fiber_type, str)
         if not isinstance(self.per, str) or not self.per.strip() or "/" in self.per:
@@ -180,15 +204,6 @@ def check_counts(counts: Iterable[Requirement], focal_plane: object) -> None:
                 f"the requirement {str(one)!r} must name an integer column of the focal plane after '/', one of: "
                 f"{known}; got {one.per!r}{hint and '; ' + hint}"
             )
-
-
-def hint_of_name(what: str, names: Iterable[str]) -> str:
-    """Return a hint for an unknown name: a similar name among the kinds of targets and the categories ``names``."""
-    names = {*KINDS, *names} - {""}
-    if what in names:
-        return ""
-    singular = f"{what[:-3]}y" if what.endswith("ies") else what  # "skies" alone is not similar enough to "sky"
-    return close_to(what, names) or close_to(singular, names)
 
 
 def as_requirements(given: object) -> tuple[Requirement, ...]:

@@ -1,15 +1,21 @@
-"""The base class of the rules of observatories, whose verdict on a plan is a number and a limit."""
+"""The base classes of the rules of observatories: a rule has a number and a limit, and can refer to stars."""
 
-from dataclasses import replace
-from typing import ClassVar
+from dataclasses import MISSING, fields, replace
+from functools import cached_property
+from hashlib import sha256
+from shlex import quote
+from typing import Any, ClassVar
 
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._plugins import name_of
 from rfpsurvey._roles import has_role
-from rfpsurvey.constraints._constraint import Constraint, ConstraintField
-from rfpsurvey.constraints._verdict import FAIL, NOT_CHECKABLE, Verdict
-from rfpsurvey.errors import InputError, check_fiber_type, refusal
+from rfpsurvey._settings import Checked, option
+from rfpsurvey.catalog import Catalog
+from rfpsurvey.constraints._constraint import Constraint
+from rfpsurvey.constraints._field import FAIL, NOT_CHECKABLE, ConstraintField, Verdict
+from rfpsurvey.errors import InputError, check_fiber_type, listed, refusal
 
 LARGEST = 90.0
 """Largest absolute value of a magnitude; larger values are codes for missing magnitudes, such as -999 and 99.9."""
@@ -52,8 +58,7 @@ class Rule(Constraint):
         """
         if instrument is None:
             self._refuse_focal_plane()
-        fiber = getattr(self, "fiber_type", "")
-        if fiber:
+        if fiber := getattr(self, "fiber_type", ""):
             check_fiber_type(fiber, instrument.focal_plane.fiber_types, f"fiber type of the rule '{self}'")
         return self
 
@@ -155,26 +160,77 @@ def check_unit(column: str, unit: str) -> None:
         raise InputError(f"the column {column!r} must contain magnitudes, got values with the unit {unit}")
 
 
-def check_number(value: object, name: str, low: float = -np.inf, high: float = np.inf) -> None:
-    """Raise an error if the value of a rule is not a number between two limits; without limits, it can be infinite."""
-    is_number = isinstance(value, int | float | np.number) and not isinstance(value, bool)
-    if not (is_number and low <= value <= high):
-        limits = f" from {low:g} to {high:g}" if np.isfinite(low) else ""
-        raise refusal(f"{name} must be a number{limits}", value, int, float)
-
-
-def check_limits(column: str, brightest: object, faintest: object) -> None:
-    """Raise an error if the limits of the magnitude in a column are not numbers, or are reversed."""
-    check_number(brightest, f"the brightest magnitude of {column!r}")
-    check_number(faintest, f"the faintest magnitude of {column!r}")
-    if not brightest < faintest:
+def check_limits(rule: Rule) -> None:
+    """Raise an error if the limits of magnitudes of a rule are not numbers, which can be infinite, or are reversed."""
+    for name in ("brightest", "faintest"):
+        value = getattr(rule, name)
+        if not isinstance(value, int | float | np.number) or isinstance(value, bool) or np.isnan(value):
+            raise refusal(f"the {name} magnitude of {rule.column!r} must be a number", value, int, float)
+    if not rule.brightest < rule.faintest:
         raise InputError(
-            f"the brightest magnitude of {column!r} must be smaller than the faintest magnitude {faintest:g}, got "
-            f"{brightest:g}"
+            f"the brightest magnitude of {rule.column!r} must be smaller than the faintest magnitude "
+            f"{rule.faintest:g}, got {rule.brightest:g}"
         )
 
 
-def check_text(value: object, name: str, *, empty: bool = False) -> None:
-    """Raise an error if the value of a rule is not text."""
-    if not isinstance(value, str) or not (value.strip() or empty):
-        raise refusal(f"{name} must be text", value, str)
+def limit_option(default: object = MISSING) -> Any:
+    """Return a field of a rule for a number that can be infinite, which `_check` of the rule checks."""
+    return option(default, convert=lambda value: value)
+
+
+class StarRule(Checked, Rule):
+    """A rule with the fields ``column``, the magnitude of stars, and ``stars``, their catalog, its path or None."""
+
+    def _check(self) -> None:
+        """Raise an error if the stars are not a catalog with the column; an empty path stands for no catalog."""
+        if self.stars == "":
+            object.__setattr__(self, "stars", None)
+        if self.stars is not None and self.column not in self._catalog.arrays.extra:
+            known = listed(self._catalog.arrays.extra, 8)
+            raise InputError(f"the catalog of stars must have the column {self.column!r}, but its columns are: {known}")
+        if self.stars is not None:
+            check_unit(self.column, self._catalog.arrays.extra_units[self.column])
+
+    def __str__(self):
+        values = [(getattr(self, one.name), one.default) for one in fields(self)]
+        while values and values[-1][0] == values[-1][1]:
+            values.pop()
+        words = [self._digest if isinstance(value, Catalog) else value for value, _ in values]
+        words = [name_of(word) if callable(word) else "" if word is None else str(word) for word in words]
+        return " ".join([self.name, *map(quote, words)])
+
+    @cached_property
+    def _catalog(self) -> Catalog:
+        """The catalog with the stars."""
+        return Catalog.read(self.stars, keep=[self.column]) if isinstance(self.stars, str) else self.stars
+
+    @cached_property
+    def _digest(self) -> str:
+        arrays = self._catalog.arrays
+        digest = sha256(arrays.vectors.tobytes() + np.asarray(arrays.extra[self.column]).tobytes()).hexdigest()
+        return f"{len(self._catalog)} stars, digest {digest[:16]}"
+
+    @property
+    def content(self) -> str:
+        """The number and a digest of the stars of a second catalog; empty text if the stars are targets."""
+        return "" if self.stars is None else self._digest
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """Columns of the catalog that the rule uses; none if the stars are those of a second catalog."""
+        return super().columns if self.stars is None else ()
+
+    @property
+    def uses_targets(self) -> bool:
+        """Whether the stars are targets of the catalog, also outside the field."""
+        return self.stars is None
+
+    def _stars(self, field: ConstraintField) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return magnitudes and directions of all stars with both, and their identifiers if they are targets."""
+        if self.stars is None:
+            m, vectors, ids = np.where(field.kind == "sky", np.nan, self._magnitudes(field)), field.vectors, field.id
+        else:
+            arrays = self._catalog.arrays
+            m, vectors, ids = to_magnitudes(arrays.extra[self.column], self.column), arrays.vectors, None
+        rows = np.flatnonzero(np.isfinite(m) & np.isfinite(vectors).all(axis=1))
+        return m[rows], vectors[rows], None if ids is None else ids[rows]

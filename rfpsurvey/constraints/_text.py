@@ -105,6 +105,26 @@ def _as_constraint(one: object) -> Constraint:
         return _class_of(plugin).parse(arguments)
 
 
+def with_present_texts(recorded: dict, present: dict) -> dict:
+    """Return a recorded request in which equal constraints have the text that they have in the present request.
+
+    The texts of equal constraints can differ: ``magnitude h 7 13`` and ``magnitude h 7.0 13.0`` are equal.
+    """
+    texts, now = (one.get("constraints", []) for one in (recorded, present))
+    if not texts or len(texts) != len(now):
+        return recorded
+    kept = [b if a != b and _are_equal(a, b) else a for a, b in zip(texts, now, strict=True)]
+    return {**recorded, "constraints": kept}
+
+
+def _are_equal(first: str, second: str) -> bool:
+    """Return whether two texts are equal constraints; texts that contain digests of data are not constraints."""
+    try:
+        return as_constraints(first) == as_constraints(second)
+    except InputError:
+        return False
+
+
 def _class_of(plugin: Plugin) -> type[Constraint]:
     value = plugin.value
     if not (isinstance(value, type) and issubclass(value, Constraint)):

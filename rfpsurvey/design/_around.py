@@ -1,18 +1,84 @@
 """Scan designs around the design of an instrument, and compare the instrument with the best of these designs."""
 
+from dataclasses import dataclass
 from inspect import signature
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._settings import Option, number_within
 from rfpsurvey._units import to_plain
-from rfpsurvey.design._axes import AXES, to_axes
 from rfpsurvey.design._explore import explore_designs, scan
-from rfpsurvey.design._rows import set_formats
-from rfpsurvey.design._start import start_of
-from rfpsurvey.errors import InputError, check_choice, check_whole
-from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.design._rows import AXES, set_formats, to_axes
+from rfpsurvey.errors import InputError, check_choice, check_whole, warn
+from rfpsurvey.instrument import Instrument, arm_facts, as_instrument
+
+N_POINTS = 2**16
+SAME = 1e-9
+"""Two designs are equal if the relative differences of their parameters are below this value."""
+
+
+@dataclass(frozen=True, eq=False)
+class Start:
+    """The design of an instrument."""
+
+    name: str
+    design: np.ndarray
+    """central_arm, ratio, pitch and clearance, with lengths in mm."""
+    step: float
+    """Motor step, in radians."""
+
+    def among(self, designs: np.ndarray) -> tuple[np.ndarray, int, dict]:
+        """Return the designs including the design of the instrument, its row number, and a description for ``meta``."""
+        same = np.isclose(designs, self.design, rtol=SAME, atol=0).all(axis=1)
+        added = not same.any()
+        record = {"name": self.name, "added": added, **dict(zip(AXES, self.design.tolist(), strict=True))}
+        return (np.vstack([designs, self.design]), len(designs), record) if added else (designs, same.argmax(), record)
+
+
+def start_of(model: Instrument) -> Start:
+    """Return the design of an instrument: its arms, the pitch of its lattice, and its clearance and motor step."""
+    if len(model.focal_plane) < 2:
+        raise InputError(
+            f"{model.name} must have at least two positioners, because a design needs a pitch, got one positioner"
+        )
+    if model.focal_plane.margins:
+        raise InputError(
+            f"{model.name} must have no margins, because the designs of a scan have none, got "
+            f"{model.focal_plane.margins}; use the instrument without with_margins"
+        )
+    if "module" in (model.focal_plane.groups or {}):
+        reach = 1 - model.focal_plane.coverage(n_points=N_POINTS, rng=0)[0]
+        warn(
+            f"the designs are infinite lattices without the gaps between the modules of {model.name}: all values refer "
+            f"to the lattice inside a module; positioners of {model.name} reach {reach:.3f} of its focal plane"
+        )
+    own = model.focal_plane.positioner.arm_model
+    if "elbow_to_tip" in model.arm_models:
+        model = model.with_arm_model("elbow_to_tip")
+    elif own == "outline":
+        raise InputError(
+            f"{model.name} must have the entry positioner.segment_clearance, because a scan of designs replaces the "
+            "outline of the arms by a segment with this clearance, got no such entry"
+        )
+    facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
+    unit = model.focal_plane.positioner
+    if own != "elbow_to_tip":
+        warn(
+            f"the scan uses the arm model 'elbow_to_tip' with a clearance of {unit.numbers.clearance:g} mm instead of "
+            f"the arm model {own!r} of {model.name}"
+        )
+    central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
+    moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
+    if not moved < 1:
+        raise InputError(
+            f"the displacement of an arm of {model.name} within a motor step must be less than the total length of "
+            "both arms"
+        )
+    design = np.array([central_arm, eccentric_arm / central_arm, facts["pitch"], clearance])
+    return Start(model.name, design, float(np.arcsin(max(moved, 0.0)) / 2))
+
 
 VARIED = ("central_arm", "ratio", "pitch")
 
@@ -74,15 +140,17 @@ def explore_around(
     >>> len(table), table[table["instrument"] == "lamost"]["central_arm", "ratio", "pitch"].as_array().tolist()
     (27, [(8.25, 1.0, 25.6)])
     """
+    parameters = signature(explore_designs).parameters
     for name in others:
-        check_choice(name, signature(explore_designs).parameters, "parameter of explore_designs")
+        check_choice(name, parameters, "parameter of explore_designs")
+    usual = {name: one.default for name, one in parameters.items() if name not in AXES}
     start = start_of(as_instrument(instrument))
     own = dict(zip(AXES, start.design.tolist(), strict=True))
     factors = _factors(spread, n_nodes, n_designs)
     values = {name: own[name] * (factors if name in VARIED else 1.0) for name in AXES}
     values = {name: value if name == "ratio" else value * u.mm for name, value in values.items()}
     values |= {name: others.pop(name) for name in AXES if name in others}
-    return scan(to_axes(**values), start, n_designs=n_designs, **{"step": start.step * u.rad, **others})
+    return scan(to_axes(**values), start, **{**usual, "n_designs": n_designs, "step": start.step * u.rad, **others})
 
 
 def design_improvements(table: QTable) -> QTable:
@@ -157,8 +225,6 @@ def _factors(spread, n_nodes, n_designs):
 
     These are the nodes of a grid or, if a number of random designs is given, the smallest and the largest factor.
     """
-    number = isinstance(spread, int | float | np.number) and not isinstance(spread, bool)
-    if not (number and 0 < spread < 1):
-        raise InputError(f"spread must be a number above 0 and below 1, got {spread!r}")
+    spread = number_within(spread, "spread", Option(above=0, below=1))
     check_whole(n_nodes, "n_nodes", 2, 1000)
     return 1 + spread * np.linspace(-1, 1, n_nodes if n_designs is None else 2)

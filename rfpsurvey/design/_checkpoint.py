@@ -7,11 +7,9 @@ from time import monotonic
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._checkpoint import check_request, warn_of_software
-from rfpsurvey._folder import locked
+from rfpsurvey._folder import check_request, locked, warn_of_software
 from rfpsurvey._io import WRITABLE, check_output, read_table, to_path, write_table
-from rfpsurvey.design._axes import AXES
-from rfpsurvey.design._rows import ROW, digest_of, to_rows, to_table
+from rfpsurvey.design._rows import AXES, ROW, digest_of, to_rows, to_table
 from rfpsurvey.errors import InputError, check_switch
 from rfpsurvey.tile import versions
 
@@ -38,11 +36,10 @@ class Checkpoint:
     def __init__(self, path: object, request: dict, designs: np.ndarray, *, resume: bool, overwrite: bool):
         self.meta = {"request": json.loads(json.dumps(request)), "software": versions()}
         self._path, self._designs = path if path is None else to_path(path), designs
-        resume = check_switch(resume, "resume")
-        self._resume, self._overwrite = resume, check_switch(overwrite, "overwrite")
+        self._resume, self._overwrite = check_switch(resume, "resume"), check_switch(overwrite, "overwrite")
         self.parts: list[np.ndarray] = []
         self.done = 0
-        if path is None and resume:
+        if path is None and self._resume:
             raise InputError("resume requires the path of the file with the unfinished scan")
 
     def __enter__(self):

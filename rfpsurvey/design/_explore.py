@@ -10,12 +10,9 @@ from astropy.table import QTable
 from rfpsurvey._executors import map_in_order
 from rfpsurvey._progress import Progress
 from rfpsurvey._units import is_seed_given, to_scalar, to_seed
-from rfpsurvey.design._axes import to_axes, to_designs
 from rfpsurvey.design._checkpoint import Checkpoint
-from rfpsurvey.design._front import OBJECTIVES, check_objectives, on_front
 from rfpsurvey.design._options import LossOptions
-from rfpsurvey.design._rows import FIGURES
-from rfpsurvey.design._start import Start
+from rfpsurvey.design._rows import AXES, FIGURES, OBJECTIVES, check_objectives, on_front, to_axes, to_designs
 from rfpsurvey.design._work import Task
 from rfpsurvey.errors import check_keywords, warn
 
@@ -148,37 +145,11 @@ def explore_designs(
     >>> table["pareto"].tolist()
     [True, False, False]
     """
-    axes = to_axes(central_arm, ratio, pitch, clearance)
-    return scan(
-        axes,
-        n_designs=n_designs,
-        step=step,
-        loss=loss,
-        objectives=objectives,
-        rng=rng,
-        executor=executor,
-        progress=progress,
-        path=path,
-        resume=resume,
-        overwrite=overwrite,
-    )
+    settings = {name: value for name, value in locals().items() if name not in AXES}
+    return scan(to_axes(central_arm, ratio, pitch, clearance), None, **settings)
 
 
-def scan(
-    axes: dict[str, np.ndarray],
-    start: Start | None = None,
-    *,
-    n_designs: int | None = None,
-    step: u.Quantity = 0 * u.deg,
-    loss: LossOptions | str = "independent",
-    objectives: dict[str, str] | None = None,
-    rng: int | np.random.Generator | None = 0,
-    executor: Executor | None = None,
-    progress: bool = False,
-    path: str | None = None,
-    resume: bool = False,
-    overwrite: bool = False,
-) -> QTable:
+def scan(axes, start, *, n_designs, step, loss, objectives, rng, executor, progress, path, resume, overwrite) -> QTable:
     """Compute all designs of a scan and return their table.
 
     ``axes`` contains the values or the limits of each parameter, with lengths in mm. If ``start`` is given, the table
@@ -196,7 +167,13 @@ def scan(
         designs, row, record = start.among(designs)
         request["start"] = record
     with Checkpoint(path, request, designs, resume=resume, overwrite=overwrite) as checkpoint:
-        _run(task, designs, checkpoint, executor, progress=progress)
+        starts = range(checkpoint.done, len(designs), CHUNK)
+        parts = (designs[first : first + CHUNK] for first in starts)
+        with Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
+            for rows in map_in_order(executor, task, starts, parts):
+                checkpoint.add(rows)
+                checkpoint.save()
+                bar(checkpoint.done)
         table = checkpoint.table(objectives=objectives)
         if start is not None:
             table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
@@ -204,17 +181,6 @@ def scan(
         checkpoint.write(table)
     _warn(table)
     return table
-
-
-def _run(task, designs, checkpoint, executor, *, progress):
-    """Compute all designs that are not finished, and add them to the checkpoint in order."""
-    starts = range(checkpoint.done, len(designs), CHUNK)
-    parts = (designs[start : start + CHUNK] for start in starts)
-    with Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
-        for rows in map_in_order(executor, task, starts, parts):
-            checkpoint.add(rows)
-            checkpoint.save()
-            bar(checkpoint.done)
 
 
 def _warn(table):

@@ -32,11 +32,6 @@ class Lattice:
         return float(np.sqrt(3) / 2 * self.pitch**2)
 
     @cached_property
-    def separation(self) -> float:
-        """Minimum separation D in mm."""
-        return float(self.unit.min_separation.to_value(u.mm))
-
-    @cached_property
     def radii(self) -> tuple[float, float]:
         """Inner and outer radius of a patrol area in mm."""
         return float(self.unit.inner_radius.to_value(u.mm)), float(self.unit.outer_radius.to_value(u.mm))
@@ -44,8 +39,8 @@ class Lattice:
     @property
     def shape(self) -> tuple[float, float, float]:
         """Ratios on which the collision probability depends: central arm / pitch, arm ratio, separation D / pitch."""
-        central_arm, eccentric_arm = (arm.to_value(u.mm) for arm in (self.unit.central_arm, self.unit.eccentric_arm))
-        return float(central_arm / self.pitch), float(eccentric_arm / central_arm), self.separation / self.pitch
+        unit = self.unit.numbers
+        return unit.central_arm / self.pitch, unit.eccentric_arm / unit.central_arm, unit.separation / self.pitch
 
     @property
     def multiplicity(self) -> float:
@@ -56,7 +51,7 @@ class Lattice:
     @property
     def sight(self) -> float:
         """Smallest distance (mm) between the centers of two positioners at which the positioners cannot collide."""
-        return 2 * self.radii[1] + self.separation
+        return 2 * self.radii[1] + self.unit.numbers.separation
 
     @property
     def collision_type(self) -> int:
@@ -108,7 +103,7 @@ def make_lattice(
     except InputError as error:
         return None, str(error)
     lattice = Lattice(unit, pitch)
-    if pitch <= lattice.separation:
+    if pitch <= unit.numbers.separation:
         return None, "the centers of neighboring positioners are closer than the minimum separation"
     if lattice.radii[1] > MOST_REACH * pitch:
         return None, f"the reach of the arms exceeds {MOST_REACH:g} times the pitch"

@@ -1,17 +1,15 @@
 """Options that define how a scan of designs computes the loss (the fraction of fibers lost to collisions)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
-from numbers import Number
+from dataclasses import dataclass
 
 import astropy.units as u
-import numpy as np
 
 from rfpsurvey._methods import describe_methods
-from rfpsurvey._units import to_scalar
+from rfpsurvey._settings import Settings, option
 from rfpsurvey.design._losses import ESTIMANDS, METHODS, automatic
 from rfpsurvey.design._work import MOST_TARGETS
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal, warn_of_unused
+from rfpsurvey.errors import InputError, check_keywords, warn_of_unused
 
 PER_POSITIONER = 4.0
 """Default number of targets per positioner."""
@@ -19,8 +17,8 @@ PER_POSITIONER = 4.0
 
 @check_keywords
 @describe_methods(METHODS)
-@dataclass(frozen=True)
-class LossOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class LossOptions(Settings):
     """Definition of the fraction of fibers that a design loses to collisions, and the method that computes it.
 
     Parameters
@@ -58,23 +56,19 @@ class LossOptions:
     ('collision_free', 'repair')
     """
 
-    estimand: str | None = None
-    method: str = "auto"
-    targets_per_positioner: float | None = None
-    target_density: u.Quantity[u.mm**-2] | None = None
-    n_skies: int = 8
-    time_limit: u.Quantity[u.s] = field(default=10 * u.s)
+    estimand: str | None = option(None, choices=ESTIMANDS)
+    method: str = option("auto", choices=[*METHODS, "auto"], what="method of design studies")
+    targets_per_positioner: float | None = option(None, above=0, high=MOST_TARGETS)
+    target_density: u.Quantity[u.mm**-2] | None = option(None, above=0, below=1e3, record="target_density_per_mm2")
+    n_skies: int = option(8, low=2)
+    time_limit: u.Quantity[u.s] = option(10 * u.s, above=0)
 
-    def __post_init__(self):
-        self.question, self.targets, self.seconds  # noqa: B018  (raises an error for invalid options)
-        check_whole(self.n_skies, "n_skies", 2)
+    def _check(self):
+        _ = self.question, self.targets  # raises an error if options do not fit each other
 
     @property
     def question(self) -> tuple[str, str]:
         """The estimand (definition of the loss), and the method that computes the loss."""
-        check_choice(self.method, [*METHODS, "auto"], "method of design studies")
-        if self.estimand is not None:
-            check_choice(self.estimand, ESTIMANDS, "estimand")
         if self.method == "auto":
             return self.estimand or "independent", self.method
         own = METHODS[self.method].estimand
@@ -91,7 +85,7 @@ class LossOptions:
             Names of options of the scan that were given.
         """
         estimand, method = self.question
-        given = [name for name in ("n_skies", "time_limit") if getattr(self, name) != getattr(LossOptions, name)]
+        given = [name for name in ("n_skies", "time_limit") if name in self.changed()]
         chosen = automatic(estimand) if method == "auto" else [METHODS[method]]
         warn_of_unused([*given, *also], chosen, METHODS.values(), "method")
 
@@ -102,14 +96,10 @@ class LossOptions:
         if each is not None and self.target_density is not None:
             raise InputError("give either targets_per_positioner or target_density, but not both")
         if self.target_density is not None:
-            return to_scalar(self.target_density, u.mm**-2, "target_density", low=0, high=1e3), True
-        number = PER_POSITIONER if each is None else each
-        known = isinstance(number, int | float | np.number) and not isinstance(number, bool)
-        if not (known and 0 < number <= MOST_TARGETS):
-            raise refusal(f"targets_per_positioner must be a number above 0 and up to {MOST_TARGETS:g}", each, Number)
-        return float(number), False
+            return float(self.target_density.to_value(u.mm**-2)), True
+        return float(PER_POSITIONER if each is None else each), False
 
     @property
     def seconds(self) -> float:
         """Time limit of each search for a plan, in seconds."""
-        return to_scalar(self.time_limit, u.s, "time_limit", low=0)
+        return float(self.time_limit.to_value(u.s))

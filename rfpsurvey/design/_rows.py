@@ -1,42 +1,78 @@
-"""Convert the results of designs to records and tables."""
+"""The designs of a scan as axes, records and tables, and the best designs for two objectives."""
 
 import hashlib
+import itertools
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._units import to_plain
-from rfpsurvey.design._axes import AXES
+from rfpsurvey._units import to_mm, to_plain
+from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_whole, refusal
 
-UNITS = {
-    **dict.fromkeys(("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation"), u.mm),
-    **dict.fromkeys(("positioners_per_area", "usable_per_area"), u.cm**-2),
-}
-FIGURES = (
-    "multiplicity",
-    "reach_0",
-    "reach_1",
-    "reach_2",
-    "reach_3",
-    "coverage",
-    "targets",
-    "empty",
-    "assigned",
-    "loss",
-    "loss_error",
-    "usable",
-    "positioners_per_area",
-    "usable_per_area",
-)
+AXES = ("central_arm", "ratio", "pitch", "clearance")
+MOST = 10_000_000
+
+
+def to_axes(central_arm: u.Quantity, ratio: object, pitch: u.Quantity, clearance: u.Quantity) -> dict[str, np.ndarray]:
+    """Return the values of each parameter of a scan, with lengths in mm; raise an error if a value is not valid."""
+    lengths = {"central_arm": central_arm, "pitch": pitch, "clearance": clearance}
+    axes = {name: to_mm(value, name) for name, value in lengths.items()}
+    try:
+        axes["ratio"] = to_plain(u.Quantity(ratio, u.dimensionless_unscaled).value).astype(float)
+    except INCONVERTIBLE:
+        text = "ratio (eccentric arm length divided by central arm length) must be one or several numbers"
+        raise refusal(text, ratio, str, int, list, np.ndarray) from None
+    for name, values in axes.items():
+        wrong = values[~((values >= 0 if name == "clearance" else values > 0) & (values < 1e6))]
+        if wrong.size:
+            what = "at least 0" if name == "clearance" else "above 0"
+            raise InputError(f"{name} must be finite and {what}, got {wrong.flat[0]:g}")
+        if values.ndim > 1 or values.size == 0:
+            raise InputError(f"{name} must be one value or a one-dimensional array, got the shape {values.shape}")
+    return {name: np.atleast_1d(axes[name]) for name in AXES}
+
+
+def to_designs(axes: dict[str, np.ndarray], n_designs: int | None, seed: int) -> np.ndarray:
+    """Return the designs of a scan as rows (central_arm, ratio, pitch, clearance)."""
+    if n_designs is None:
+        for name, values in axes.items():
+            if len(np.unique(values)) < len(values):
+                raise InputError(f"the values of {name} must differ from each other, got {values}")
+        n = np.prod([float(len(values)) for values in axes.values()])
+        if n > MOST:
+            raise InputError(f"a grid must have at most {MOST:.0e} designs, got {n:.3g}")
+        return np.array(list(itertools.product(*axes.values())))
+    check_whole(n_designs, "n_designs", high=MOST)
+    for name, values in axes.items():
+        if len(values) > 2 or (len(values) == 2 and not values[0] < values[1]):
+            raise InputError(f"if n_designs is given, {name} must be one value or two limits (low, high), got {values}")
+    low, high = (np.array([values[k] for values in axes.values()]) for k in (0, -1))
+    points = np.zeros((n_designs, len(axes)))
+    free = low < high
+    if free.any():
+        points[:, free] = _sobol(int(n_designs), int(free.sum()), seed)
+    return low + points * (high - low)
+
+
+def _sobol(n, n_axes, seed):
+    """Return scrambled Sobol points of the unit cube; for the same seed, larger sets begin with the same points."""
+    from scipy.stats import qmc  # importing this takes longer than importing all of this package
+
+    return qmc.Sobol(n_axes, scramble=True, seed=seed).random_base2(int(np.ceil(np.log2(n))))[:n]
+
+
+LENGTHS = ("central_arm", "eccentric_arm", "pitch", "clearance", "min_separation")
+REACH, BY_AREA = ("reach_0", "reach_1", "reach_2", "reach_3"), ("positioners_per_area", "usable_per_area")
+UNITS = {**dict.fromkeys(LENGTHS, u.mm), **dict.fromkeys(BY_AREA, u.cm**-2)}
+FIGURES = ("multiplicity", *REACH, "coverage", "targets", "empty", "assigned", "loss", "loss_error", "usable", *BY_AREA)
 FORMATS = {
-    **dict.fromkeys((*AXES, "eccentric_arm", "min_separation"), ".5g"),
-    **dict.fromkeys(("reach_0", "reach_1", "reach_2", "reach_3", "coverage", "assigned", "loss", "usable"), ".4f"),
-    **dict.fromkeys(("value", "best", "other"), ".5g"),
+    **dict.fromkeys((*LENGTHS, "ratio", "value", "best", "other"), ".5g"),
+    **dict.fromkeys((*REACH, "coverage", "assigned", "loss", "usable"), ".4f"),
+    **dict.fromkeys(("multiplicity", "targets", *BY_AREA), ".4g"),
+    **dict.fromkeys(("loss_error", "loss_gap", "empty", "change"), ".2g"),
     "share": ".3f",
     "slope": ".2f",
-    **dict.fromkeys(("loss_error", "loss_gap", "empty", "change"), ".2g"),
-    **dict.fromkeys(("multiplicity", "targets", "positioners_per_area", "usable_per_area"), ".4g"),
 }
 """Formats of printed tables of designs; values are not rounded."""
 ROW = np.dtype(
@@ -94,3 +130,36 @@ def digest_of(rows: np.ndarray) -> str:
         values = rows[name]
         found.update(np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values.copy())
     return found.hexdigest()
+
+
+OBJECTIVES = {"coverage": "max", "loss": "min"}
+
+
+def check_objectives(objectives: object, columns: tuple[str, ...]) -> dict[str, str]:
+    """Return the two objectives (a dict from column to "max" or "min"), or raise an error."""
+    pairs = list(objectives.items()) if isinstance(objectives, dict) else []
+    if len(pairs) != 2:
+        text = f"objectives must be two columns with 'max' or 'min', such as {OBJECTIVES}"
+        raise refusal(text, objectives, dict)
+    for name, direction in pairs:
+        check_choice(name, columns, "column for an objective")
+        check_choice(direction, ("max", "min"), f"direction of {name}")
+    return dict(pairs)
+
+
+def on_front(table: QTable, objectives: dict[str, str]) -> np.ndarray:
+    """Return whether each row is on the Pareto front.
+
+    A row is on the front if no other row is at least as good in both columns and better in one. If several rows have
+    the same best values, all of them are on the front. Rows without a value are not on the front.
+    """
+    signs = {"max": -1.0, "min": 1.0}
+    first, second = (signs[aim] * to_plain(table[name]) for name, aim in objectives.items())
+    known = np.flatnonzero(np.isfinite(first) & np.isfinite(second))
+    order = known[np.lexsort((second[known], first[known]))]
+    a, b = first[order], second[order]
+    start = np.searchsorted(a, a, side="left")  # first row with the same first value; its second value is the best
+    least = np.append(np.inf, np.minimum.accumulate(b))[start]  # best second value of all rows before start
+    front = np.zeros(len(table), dtype=bool)
+    front[order] = (b == b[start]) & (b < least)
+    return front

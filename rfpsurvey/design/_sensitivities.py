@@ -6,8 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._units import to_plain
-from rfpsurvey.design._axes import AXES
-from rfpsurvey.design._rows import set_formats
+from rfpsurvey.design._rows import AXES, set_formats
 from rfpsurvey.errors import InputError, check_choice, check_keywords
 
 DEGREE = 4

@@ -38,7 +38,7 @@ class Task:
         if lattice is None:
             row["reason"] = reason
             return
-        row["min_separation"], row["collision_type"] = lattice.separation, lattice.collision_type
+        row["min_separation"], row["collision_type"] = lattice.unit.numbers.separation, lattice.collision_type
         row["multiplicity"], row["positioners_per_area"] = lattice.multiplicity, 100 / lattice.cell
         for depth, part in enumerate(lattice.coverage()):
             row[f"reach_{depth}"] = part

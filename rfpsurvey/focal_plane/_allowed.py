@@ -4,15 +4,33 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import collisions, conflicts
+from rfpsurvey._kernels import arms, collisions, conflicts, reach
 from rfpsurvey._units import locked
-from rfpsurvey.focal_plane._circles import Circles
 from rfpsurvey.focal_plane._fibers import edges_exactly
-from rfpsurvey.focal_plane._kinematics import joints_allow
-from rfpsurvey.focal_plane._limits import find_limits
 from rfpsurvey.focal_plane._neighbors import pairs_within
+from rfpsurvey.focal_plane._reach import make_grid
 
 ROOM = 1 << 16
+
+
+class Circles:
+    """Circles in mm (columns x, y and radius), with a grid of cells that makes the search for circles fast."""
+
+    def __init__(self, rows: np.ndarray):
+        self.x, self.y, self.radius = rows.T.copy()
+        self._grid = make_grid(rows[:, :2], self.radius) if len(rows) else None
+
+    def contain(self, points: np.ndarray) -> np.ndarray:
+        """Return whether each point (mm) is in one of the circles or on its edge; a NaN point is in no circle."""
+        if self._grid is None:
+            return np.zeros(len(points), dtype=bool)
+        n, (x, y) = len(self.x), points.T.copy()
+        any_type = np.broadcast_to(np.int64(-1), len(points)), np.broadcast_to(np.int64(-1), n)
+        start, empty = np.empty(len(points) + 1, dtype=np.int64), np.empty(0)
+        circles = reach.annuli(self.x, self.y, np.zeros(n), self.radius), any_type[1].copy()
+        pairs = np.empty(0, dtype=np.int64), empty, np.empty(0, dtype=np.int8)
+        reach.reachable_pairs(x, y, any_type[0].copy(), *circles, *self._grid, start, *pairs)
+        return np.diff(start) > 0
 
 
 class AllowedPoses:
@@ -61,7 +79,34 @@ class AllowedPoses:
         self, own: np.ndarray, points: np.ndarray, side: np.ndarray | float, fiber: np.ndarray | None = None
     ) -> np.ndarray:
         """Return whether joint limits let each positioner in ``own`` reach its point (mm) with handedness ``side``."""
-        return joints_allow(self, own, points, side, fiber)
+        side = np.broadcast_to(side, len(own)).astype(float)
+        if self.joints is not None:
+            allowed = np.isfinite(points).all(axis=1)
+            free = np.where(side < 0, self.joints.free[-1.0][own], self.joints.free[1.0][own])
+            rows = np.flatnonzero(allowed & ~free)
+            own, points, side = own[rows], points[rows], side[rows]
+            fiber = self.fiber_index[own] if fiber is None else fiber[rows]
+        theta, phi = np.empty((2, len(own)))
+        arms.solve(points, self.geometry_of(own, fiber), side, theta, phi)
+        if self.joints is None:
+            return self.plane.positioner.numbers.joints_allowed(theta, phi)
+        allowed[rows] = self.joints.allowed(*self.to_joints(theta, phi, own, fiber), own)
+        return allowed
+
+    def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
+        """Return the handedness with which each positioner in ``own`` reaches its point: +1 is right, -1 is left.
+
+        If arms can bend to both sides, the result is right, unless joint limits and margins allow only left.
+        """
+        handedness = self.plane.positioner.handedness
+        side = np.full(len(points), -1.0 if handedness == "left" else 1.0)
+        if handedness == "both" and not self.poses_free:
+            rows = np.flatnonzero(np.isfinite(points).all(axis=1))
+            own = np.arange(len(self.plane)) if own is None else own
+            fiber = None if fiber is None else fiber[rows]
+            right, left = (self.poses_allowed(own[rows], points[rows], s, fiber) for s in (1.0, -1.0))
+            side[rows[~right & left]] = -1.0
+        return side
 
     @cached_property
     def poses_free(self) -> bool:
@@ -113,7 +158,7 @@ def _clear_of_broken(columns, own, points, side, fiber):
     segments, owner = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), owner[order]
     size = np.bincount(owner, minlength=len(plane))
     start = np.concatenate([[0], np.cumsum(size)])
-    halves, limits = np.empty_like(segments), find_limits(plane.arrays, plane.margins.numbers["broken"])
+    halves, limits = np.empty_like(segments), plane.arrays.limits_with(plane.margins.numbers["broken"])
     collisions.halve(segments, halves)
     room = max(ROOM, int(size.max()))
     first, second = np.empty(room, dtype=np.int64), np.empty(room, dtype=np.int64)

@@ -5,17 +5,15 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import arms, collisions, reach
+from rfpsurvey._kernels import arms, reach
 from rfpsurvey._units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey.focal_plane._allowed import AllowedPoses
 from rfpsurvey.focal_plane._fibers import FiberOffsets, Joints, patrol_radii
-from rfpsurvey.focal_plane._idle import Idle, find_idle
+from rfpsurvey.focal_plane._idle import ArmSegments
 from rfpsurvey.focal_plane._kinematics import MODELS
-from rfpsurvey.focal_plane._limits import find_limits, find_obstacle_slack
-from rfpsurvey.focal_plane._neighbors import both_ways, find_runs, pairs_within
-from rfpsurvey.focal_plane._obstacles import find_obstacle_pairs, to_polygons
-from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid, sides
-from rfpsurvey.focal_plane._segments import ArmSegments
+from rfpsurvey.focal_plane._neighbors import Neighbors
+from rfpsurvey.focal_plane._obstacles import FixedObstacles, to_polygons
+from rfpsurvey.focal_plane._reach import Reach, accepted_types, find_reach, make_grid
 
 IN_USE = (
     "eccentric_arm",
@@ -33,7 +31,7 @@ SHARED = ("joints", "grid", "runs", "limits", "obstacle_pairs")
 """Names of the arrays that take long to compute and do not depend on the fiber type that each positioner uses."""
 
 
-class FocalPlaneArrays(AllowedPoses, ArmSegments):
+class FocalPlaneArrays(AllowedPoses, ArmSegments, FixedObstacles, Neighbors):
     """The columns of a focal plane as read-only arrays without units, in mm and radians.
 
     Each array is computed on first use and is then stored. Row i belongs to positioner i.
@@ -235,37 +233,11 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
         """Grid of square cells on the focal plane, with the positioners that reach into each cell."""
         return make_grid(self.xy, self.largest_radius)
 
-    @cached_property
-    def neighbors(self) -> np.ndarray:
-        pairs = pairs_within(self.xy, 2 * self.arm_reach.max() + self.separation + self.touch_slack)
-        return locked(pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs)
-
-    def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
-        """Return whether the arms of each pair can come closer than the minimum separation plus ``slack`` (mm)."""
-        distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
-        return distance < self.arm_reach[pairs].sum(axis=1) + self.separation + slack
-
-    @cached_property
-    def n_sharing(self) -> np.ndarray:
-        reach = self.largest_radius * (1 + 1e-6)
-        pairs = pairs_within(self.xy, 2 * reach.max())
-        distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
-        near = [column[distance <= reach[column] + reach.max()] for column in pairs.T]
-        return locked(sum(np.bincount(rows, minlength=len(reach)) for rows in near))
-
-    @cached_property
-    def obstacle_pairs(self) -> np.ndarray:
-        return find_obstacle_pairs(self)
-
     def reach(self, points: np.ndarray, fiber_type: np.ndarray | None = None) -> Reach:
         """Return the pairs of positioners and targets in reach; ``points`` are the positions of the targets in mm."""
         if self.any_hidden:
             points = np.where(self.is_hidden(points)[:, None], np.nan, points)
         return find_reach(self.plane, points, accepted_types(self.plane, fiber_type, len(points)))
-
-    def sides(self, points: np.ndarray, own: np.ndarray | None = None, fiber: np.ndarray | None = None) -> np.ndarray:
-        """Return the handedness with which each positioner in ``own`` reaches its point: +1 is right, -1 is left."""
-        return sides(self, points, own, fiber)
 
     @cached_property
     def geometry(self) -> arms.Geometry:
@@ -305,31 +277,11 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
         return 4 * (self.reach_slack + arms.EQUAL_ARMS)
 
     @cached_property
-    def limits(self) -> collisions.Limits:
-        """Minimum separation of arms and limits of rounding errors, in the form that the collision kernels require."""
-        return find_limits(self)
-
-    @cached_property
     def longest(self) -> float:
         """Upper limit (mm) of the length of a segment that can collide."""
         length = {arms.ELBOW_TO_TIP: self.longest_arm.max(), arms.CAPSULE: self.length, arms.FIBER_TIP: 0.0}[self.model]
         # arms of almost equal lengths are treated as arms of equal lengths, which displaces their elbow
         return (1.0 + 1e-12) * (float(length) + 2 * self.reach_slack + arms.EQUAL_ARMS)
-
-    @cached_property
-    def obstacle_slack(self) -> float:
-        """Upper limit (mm) of the rounding error of the distance between an arm and an obstacle that it touches."""
-        return find_obstacle_slack(self)
-
-    @cached_property
-    def runs(self) -> np.ndarray:
-        """Neighbors as sorted entries (i, j, n), each of which stands for n pairs: (i, j), (i + 1, j + 1), ..."""
-        return find_runs(self.neighbors)
-
-    @cached_property
-    def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
-        """All neighbors of each positioner in compressed rows (CSR): the start of each row, and the neighbors."""
-        return both_ways(self.neighbors, len(self.plane))
 
     @cached_property
     def angles(self) -> tuple[np.ndarray, np.ndarray]:
@@ -383,11 +335,3 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments):
         if self.joints is None:
             return np.repeat(numbers.home[:, None], len(self.plane), axis=1)
         return self.joints.home(numbers.home, self.first_index, folded=self.plane.positioner.home is None)
-
-    @cached_property
-    def _idle(self) -> dict[bool, Idle]:
-        return find_idle(self)
-
-    def idle(self, parked_obstacles: bool) -> Idle:
-        """Return the poses of arms that cannot move and, if ``parked_obstacles`` is true, of parked arms."""
-        return self.plane.arrays._idle[bool(parked_obstacles)]

@@ -1,11 +1,11 @@
 """Checks of the columns of a focal plane."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian
+from rfpsurvey._units import check_unique, to_flags, to_labels, to_plain, to_points_mm, to_unit
 from rfpsurvey.errors import InputError, InputTypeError, listed, refusal, short
 from rfpsurvey.focal_plane._margins import check_margins
 from rfpsurvey.focal_plane._obstacles import to_polygons
@@ -48,9 +48,9 @@ def _check_labels(plane, n):
         object.__setattr__(plane, name, value)
     check_unique(columns["id"], "id")
     _check_groups(plane, n)
-    blank = [name for name in columns["id"].tolist() if isinstance(name, str) and (not name or len(name.split()) != 1)]
-    if blank:
-        raise InputError(f"id must be text without blanks, because tables separate ids by blanks, got {blank[0]!r}")
+    for name in columns["id"].tolist():
+        if isinstance(name, str) and len(name.split()) != 1:
+            raise InputError(f"id must be text without blanks, because tables separate ids by blanks, got {name!r}")
     names = ["+".join(part.strip() for part in row.split("+")) for row in columns["fiber_type"].tolist()]
     object.__setattr__(plane, "fiber_type", np.array(names))
     if len(plane.fiber_types) > 1 and "" in plane.fiber_types:
@@ -80,31 +80,30 @@ def _check_groups(plane, n):
     object.__setattr__(plane, "groups", columns or None)
 
 
+def _numbers(plane, unit: u.UnitBase, *names: str) -> Iterator[tuple[str, u.Quantity, np.ndarray]]:
+    """Yield the name, the values and the numbers in a unit of each of the given columns that a focal plane has."""
+    for name in names:
+        if getattr(plane, name) is not None:
+            yield name, getattr(plane, name), to_unit(getattr(plane, name), unit, name)
+
+
 def _check_lengths(plane, n):
     """Check the lengths of the arms of all positioners."""
-    for name in ("central_arm", "eccentric_arm"):
-        value = getattr(plane, name)
-        if value is not None:
-            lengths = to_mm(value, name)
-            if lengths.shape != (n,):
-                raise InputError(f"{name} must be {n} positive lengths, got the shape {lengths.shape}")
-            strange = lengths[~((lengths > 0) & (lengths < 1e6))]
-            if len(strange):
-                raise InputError(f"{name} must be {n} positive lengths below 1 km, got {strange[0]:g} mm")
+    for name, _, lengths in _numbers(plane, u.mm, "central_arm", "eccentric_arm"):
+        if lengths.shape != (n,):
+            raise InputError(f"{name} must be {n} positive lengths, got the shape {lengths.shape}")
+        for strange in lengths[~((lengths > 0) & (lengths < 1e6))]:
+            raise InputError(f"{name} must be {n} positive lengths below 1 km, got {strange:g} mm")
 
 
 def _check_obstacles(plane):
     """Check circles and polygons that are obstacles, and circles that hide fibers."""
-    for name in ("obstacles", "hidden"):
-        if getattr(plane, name) is None:
-            continue
-        circles = to_mm(getattr(plane, name), name)
+    for name, _, circles in _numbers(plane, u.mm, "obstacles", "hidden"):
         what = f"{name} must have rows (x, y, radius) of finite values with radius >= 0"
         if circles.ndim != 2 or circles.shape[1] != 3:
             raise InputError(f"{what}, got the shape {circles.shape}")
-        strange = circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]
-        if len(strange):
-            raise InputError(f"{what}, got {strange[0].tolist()} mm")
+        for strange in circles[~(np.isfinite(circles).all(axis=1) & (circles[:, 2] >= 0))]:
+            raise InputError(f"{what}, got {strange.tolist()} mm")
     polygons = plane.obstacle_polygons
     if polygons is not None:
         if isinstance(polygons, u.Quantity) or not isinstance(polygons, Sequence):
@@ -142,35 +141,25 @@ def _check_fibers(plane, n):
             raise InputError(f"fiber_xy of {name!r} must have the shape ({n}, 2), got {points.shape}")
         has = np.array([name in row.split("+") for row in plane.fiber_type.tolist()])
         length = np.hypot(*points.T)
-        bad = np.flatnonzero(np.where(has, ~((length > 0) & (length < 1e6)), length >= 1e6))
-        if len(bad):
+        for k in np.flatnonzero(np.where(has, ~((length > 0) & (length < 1e6)), length >= 1e6)):
             raise InputError(
                 f"fiber_xy of {name!r} must be finite, not (0, 0) mm and within 1 km of the elbow for each "
-                f"positioner with this fiber, got {points[bad[0]].tolist()} mm for positioner {plane.id[bad[0]]}"
+                f"positioner with this fiber, got {points[k].tolist()} mm for positioner {plane.id[k]}"
             )
 
 
 def _check_joints(plane, n):
     """Check the zero points, the joint limits and the angles of stuck joints of all positioners."""
-    for name in ("zero_points", "theta_range", "phi_range"):
-        value = getattr(plane, name)
-        if value is None:
-            continue
-        angles = to_radian(value, name)
+    for name, value, angles in _numbers(plane, u.rad, "zero_points", "theta_range", "phi_range", "stuck"):
         if angles.shape != (n, 2):
             raise InputError(f"{name} must have the shape ({n}, 2), got {angles.shape}")
         low, high = angles.T
         if name == "zero_points":
-            bad, what = ~np.isfinite(angles).all(axis=1), "two finite angles"
+            good, what = np.isfinite(angles).all(axis=1), "be two finite angles for each positioner"
+        elif name == "stuck":
+            good, what = np.isfinite(low) == np.isfinite(high), "contain both theta and phi of a positioner, or neither"
         else:
-            bad = ~((low < high) & np.isfinite(high - low) | np.isnan(low) & np.isnan(high))
-            what = "(low, high) with low < high, or (NaN, NaN),"
-        if bad.any():
-            k = np.flatnonzero(bad)[0]
-            raise InputError(f"{name} must be {what} for each positioner, got {value[k]} for positioner {plane.id[k]}")
-    if plane.stuck is not None:
-        angles = to_radian(plane.stuck, "stuck")
-        if angles.shape != (n, 2):
-            raise InputError(f"stuck must have the shape ({n}, 2), got {angles.shape}")
-        if (np.isfinite(angles).sum(axis=1) == 1).any():
-            raise InputError("stuck must contain both theta and phi of a positioner, or neither")
+            good = (low < high) & np.isfinite(high - low) | np.isnan(low) & np.isnan(high)
+            what = "be (low, high) with low < high, or (NaN, NaN), for each positioner"
+        for k in np.flatnonzero(~good):
+            raise InputError(f"{name} must {what}, got {value[k]} for positioner {plane.id[k]}")

@@ -6,6 +6,7 @@ import numpy as np
 
 from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey._units import to_points_mm, to_radian
+from rfpsurvey.positioner import within_limits
 
 
 class FiberOffsets:
@@ -64,12 +65,10 @@ class Joints:
         self.theta_zero, self.phi_zero = zeros.T.copy()
         self.angle = None if fibers is None else fibers.angle
         limits = []
-        for name in ("theta_range", "phi_range"):
-            common, own = getattr(plane.positioner, name), getattr(plane, name)
-            pair = np.array([-np.inf, np.inf]) if common is None else to_radian(common, name)
-            pair = np.repeat(pair[:, None], n, axis=1)
+        for own, common in zip((plane.theta_range, plane.phi_range), plane.positioner.numbers.limits, strict=True):
+            pair = np.repeat(common[:, None], n, axis=1)
             if own is not None:
-                given = to_radian(own, name).T
+                given = to_radian(own, "joint limits").T
                 pair = np.where(np.isfinite(given), given, pair)
             limits += list(pair)
         self.limits = np.array(limits)
@@ -95,7 +94,7 @@ class Joints:
             angles[1] = np.pi - self.zeros(own, fiber)[1]
         for k, value in enumerate(angles):
             ends = self.limits[2 * k : 2 * k + 2]
-            beyond = ~_within(value, *ends)
+            beyond = ~within_limits(value, *ends)
             away = np.abs(np.mod(ends[:, beyond] - value[beyond] + np.pi, 2 * np.pi) - np.pi)
             value[beyond] = np.where(away[0] <= away[1], *ends[:, beyond])
         return angles
@@ -114,7 +113,7 @@ class Joints:
     def allowed(self, theta, phi, own):
         """Return whether joint angles are within the joint limits of the positioners in the rows ``own``."""
         low, high, phi_low, phi_high = self.limits[:, own]
-        return _within(theta, low, high) & _within(phi, phi_low, phi_high)
+        return within_limits(theta, low, high) & within_limits(phi, phi_low, phi_high)
 
     def _allow_all(self, side):
         """Return whether each positioner reaches its whole patrol area with a handedness (1: right, -1: left)."""
@@ -181,10 +180,3 @@ def edges_exactly(columns, i: int) -> tuple[Fraction, Fraction]:
     margins = columns.plane.margins.numbers
     inner = Fraction(float(inner + Fraction(margins["inner"]))) if margins["inner"] else inner
     return inner, Fraction(float(outer - Fraction(margins["outer"]))) if margins["outer"] else outer
-
-
-def _within(angle, low, high):
-    """Return whether angles are in the interval [low, high], modulo 360 deg."""
-    free = np.isinf(low) | (high - low >= 2 * np.pi)
-    with np.errstate(invalid="ignore"):
-        return np.where(free, ~np.isnan(angle), np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12)

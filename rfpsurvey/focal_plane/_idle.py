@@ -1,10 +1,12 @@
-"""Poses of arms without a target."""
+"""Poses of arms without a target, and the segments that represent arms in tests for collisions."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
 from rfpsurvey._kernels import arms
+from rfpsurvey._units import locked
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,22 +38,57 @@ NEARLY_EQUAL = 0.05
 their sum are parked."""
 
 
-def find_idle(columns) -> dict[bool, Idle]:
-    """Return the poses of idle arms, in a dict with the keys True (parked arms are obstacles) and False."""
-    n, stuck = len(columns.plane), columns.is_stuck
-    home = columns.home.copy()
-    home[:, stuck] = columns.stuck[stuck].T
-    theta, phi = (np.ascontiguousarray(v) for v in columns.from_joints(*home))
-    segments = np.empty((4, n))
-    arms.pose(theta, phi, columns.geometry, segments)
-    l1, l2 = columns.central_arm, columns.eccentric_arm
-    nearly = columns.plane.positioner.equal_arms & (np.abs(l1 - l2) <= NEARLY_EQUAL * (l1 + l2))
-    folded = ~stuck & columns.equal_arms & (np.abs(phi - np.pi) < 1e-12)
-    segments[2:, folded] = columns.xy[folded].T  # in floating-point numbers, sin(pi) is not 0
-    states = {}
-    for parked_obstacles in (False, True):
-        parked = columns.usable & (columns.equal_arms | nearly) & parked_obstacles
-        gone = columns.usable & ~parked
-        values = [np.where(gone, np.nan, v) for v in (*home, segments)]
-        states[parked_obstacles] = Idle(*values, parked)
-    return states
+class ArmSegments:
+    """Methods that `FocalPlaneArrays` inherits, which compute the poses of idle arms and the segments of arms."""
+
+    @cached_property
+    def _idle(self) -> dict[bool, Idle]:
+        """Poses of idle arms, in a dict with the keys True (parked arms are obstacles) and False."""
+        n, stuck = len(self.plane), self.is_stuck
+        home = self.home.copy()
+        home[:, stuck] = self.stuck[stuck].T
+        theta, phi = (np.ascontiguousarray(v) for v in self.from_joints(*home))
+        segments = np.empty((4, n))
+        arms.pose(theta, phi, self.geometry, segments)
+        l1, l2 = self.central_arm, self.eccentric_arm
+        nearly = self.plane.positioner.equal_arms & (np.abs(l1 - l2) <= NEARLY_EQUAL * (l1 + l2))
+        folded = ~stuck & self.equal_arms & (np.abs(phi - np.pi) < 1e-12)
+        segments[2:, folded] = self.xy[folded].T  # in floating-point numbers, sin(pi) is not 0
+        states = {}
+        for parked_obstacles in (False, True):
+            parked = self.usable & (self.equal_arms | nearly) & parked_obstacles
+            gone = self.usable & ~parked
+            values = [np.where(gone, np.nan, v) for v in (*home, segments)]
+            states[parked_obstacles] = Idle(*values, parked)
+        return states
+
+    def idle(self, parked_obstacles: bool) -> Idle:
+        """Return the poses of arms that cannot move and, if ``parked_obstacles`` is true, of parked arms."""
+        return self.plane.arrays._idle[bool(parked_obstacles)]
+
+    def idle_segments(self, parked_obstacles: bool) -> np.ndarray:
+        """Return the segments of the arms of `idle` that represent them in tests for collisions, shape (4, n)."""
+        return self.plane.arrays._idle_segments[bool(parked_obstacles)]
+
+    @cached_property
+    def _idle_segments(self) -> dict[bool, np.ndarray]:
+        found = {key: one.segments.copy() for key, one in self._idle.items()}
+        for segments in found.values():
+            arms.shape(segments, self.model, self.length, *self.angles)
+        return {key: locked(segments) for key, segments in found.items()}
+
+    def segments_of(
+        self, own: np.ndarray, fiber: np.ndarray | None, points: np.ndarray, side: np.ndarray | None = None
+    ) -> np.ndarray:
+        """Return the segments that represent arms in tests for collisions, shape (4, k).
+
+        For each of k arms, ``own`` is the row of the positioner, ``fiber`` is the index of the fiber type in use (None:
+        the fiber type that each positioner uses by default), ``points`` is the position of this fiber, and ``side`` is
+        the handedness (+1 is right, -1 is left), by default that of `sides`.
+        """
+        side = self.sides(points, own, fiber) if side is None else side
+        angles = (angle[own] for angle in self.angles) if fiber is None else self.angles_of(own, fiber)
+        segments = np.empty((4, len(own)))
+        arms.place(points, self.geometry_of(own, fiber), side, segments)
+        arms.shape(segments, self.model, self.length, *angles)
+        return segments

@@ -1,5 +1,8 @@
 """Convert joint angles to positions of fibers, and vice versa, for all positioners of a focal plane."""
 
+from collections.abc import Callable
+from functools import partial
+
 import astropy.units as u
 import numpy as np
 
@@ -38,16 +41,7 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
         raise InputError(f"xy must have a row for each of the {n} positioners, got {len(points)}")
     fiber, missing = _fibers(plane, fiber_type)
     own = np.arange(n)
-    if handedness is None:
-        side = columns.sides(points, own, fiber)
-    else:
-        names = to_plain(handedness, "handedness").astype(str)
-        if names.shape not in ((), (n,)):
-            raise InputError(f"handedness must be one name or have the shape ({n},), got {names.shape}")
-        names = np.broadcast_to(names, n)
-        for name in np.unique(names):
-            check_choice(str(name), ("right", "left"), "handedness of an arm")
-        side = np.where(names == "left", -1.0, 1.0)
+    side = to_sides(columns, points, handedness, fiber)
     g, angles = columns.geometry_of(own, fiber), np.empty((2, n))
     arms.solve(points, g, side, *angles)
     bounds = columns.bounds_of(own, fiber, side)
@@ -56,21 +50,12 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
     return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, own, fiber))
 
 
-def joints_allow(columns, own, points, side, fiber=None) -> np.ndarray:
-    """Return whether joint limits allow the poses of arms; see `FocalPlaneArrays.joints_allow`."""
-    side = np.broadcast_to(side, len(own)).astype(float)
-    if columns.joints is not None:
-        allowed = np.isfinite(points).all(axis=1)
-        free = np.where(side < 0, columns.joints.free[-1.0][own], columns.joints.free[1.0][own])
-        rows = np.flatnonzero(allowed & ~free)
-        own, points, side = own[rows], points[rows], side[rows]
-        fiber = columns.fiber_index[own] if fiber is None else fiber[rows]
-    theta, phi = np.empty((2, len(own)))
-    arms.solve(points, columns.geometry_of(own, fiber), side, theta, phi)
-    if columns.joints is None:
-        return columns.plane.positioner.numbers.joints_allowed(theta, phi)
-    allowed[rows] = columns.joints.allowed(*columns.to_joints(theta, phi, own, fiber), own)
-    return allowed
+def to_sides(columns, points: np.ndarray, handedness: object, fiber: np.ndarray | None = None) -> np.ndarray:
+    """Return +1 for right-handed and -1 for left-handed arms; by default, the focal plane determines the handedness."""
+    if handedness is None:
+        return columns.sides(points, None, fiber)
+    check = partial(check_choice, choices=("right", "left"), what="handedness of an arm")
+    return np.where(_names(handedness, len(columns.plane), "handedness", check) == "left", -1.0, 1.0)
 
 
 def _fibers(plane, fiber_type):
@@ -80,13 +65,18 @@ def _fibers(plane, fiber_type):
     names = plane.fiber_types if fibers is None else fibers.names
     if fiber_type is None:
         return columns.first_index, np.zeros(n, dtype=bool)
-    types = to_plain(fiber_type, "fiber_type").astype(str)
-    if types.shape not in ((), (n,)):
-        raise InputError(f"fiber_type must be one name or have the shape ({n},), got {types.shape}")
-    types = np.broadcast_to(types, n)
-    for name in np.unique(types):
-        check_fiber_type(str(name), names)
+    types = _names(fiber_type, n, "fiber_type", partial(check_fiber_type, fiber_types=names))
     index = np.array([names.index(name) for name in types.tolist()])
     lists = [row.split("+") for row in plane.fiber_type.tolist()]
     missing = np.array([t not in row for t, row in zip(types.tolist(), lists, strict=True)])
     return index, missing if fibers is None else fibers.missing[index, np.arange(n)]
+
+
+def _names(given, n: int, what: str, check: Callable) -> np.ndarray:
+    """Return one name for each of n positioners, after a check of each different name."""
+    names = to_plain(given, what).astype(str)
+    if names.shape not in ((), (n,)):
+        raise InputError(f"{what} must be one name or have the shape ({n},), got {names.shape}")
+    for name in np.unique(names):
+        check(str(name))
+    return np.broadcast_to(names, n)

@@ -1,12 +1,10 @@
 """Hexagonal lattices."""
 
-from numbers import Number
-
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._units import to_numbers, to_scalar
-from rfpsurvey.errors import InputError, items_of, refusal, short
+from rfpsurvey.errors import InputError, check_whole, items_of, refusal, short
 
 
 def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=0 * u.mm, vacant=(), rows_along="x"):
@@ -15,12 +13,10 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     if (rings is None) == (count is None) and not (rings is None and radius is not None):
         given = f"rings={rings}, count={count}, radius={radius}"
         raise InputError(f"either rings or count must be given, or only radius, got {given}")
-    for name, value in (("rings", rings), ("count", count)):
-        least, most = (1, 1_000_000) if name == "count" else (0, 500)
-        if value is not None and not (
-            isinstance(value, int | float | np.integer) and least <= value <= most and value % 1 == 0
-        ):
-            raise refusal(f"{name} must be a whole number from {least} to {most}", value, Number)
+    for name, value, least, most in (("rings", rings, 0, 500), ("count", count, 1, 1_000_000)):
+        if value is not None:  # numbers such as 3.0 are also whole numbers
+            is_whole = isinstance(value, float) and value.is_integer()
+            check_whole(int(value) if is_whole else value, name, least, most)
     if not (isinstance(rows_along, str) and rows_along in ("x", "y")):
         raise refusal("rows_along must be 'x' or 'y'", rows_along, str)
     text = "vacant must be a list of cells (q, k)"
@@ -39,9 +35,7 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
     k, q = (a.ravel() for a in np.mgrid[-n : n + 1, -n : n + 1])
     inside = np.abs(q + k) <= n
     k, q = k[inside], q[inside]
-    xy = step * np.column_stack([q + k / 2, np.sqrt(3) / 2 * k])
-    if rows_along == "y":
-        xy = xy[:, ::-1].copy()
+    xy = cell_centers(q, k, step, rows_along)
     r = np.hypot(*xy.T)
     # Several cells can have the same distance from the origin. Rounded distances in units of the pitch are compared, so
     # that rounding errors have no effect.
@@ -61,3 +55,9 @@ def hexagonal_cells(pitch, *, rings=None, count=None, radius=None, inner_radius=
         keep[:] = False
         keep[order] = True
     return xy[keep], cells[keep]
+
+
+def cell_centers(q: np.ndarray, k: np.ndarray, pitch: float, rows_along: str) -> np.ndarray:
+    """Return the centers of the cells (q, k) of a hexagonal lattice, shape (n, 2), in the unit of ``pitch``."""
+    xy = pitch * np.column_stack([q + k / 2, np.sqrt(3) / 2 * k])
+    return xy[:, ::-1].copy() if rows_along == "y" else xy

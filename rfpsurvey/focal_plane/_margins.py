@@ -1,30 +1,20 @@
 """Margins: distances that plans keep from the edges of patrol areas, between arms, and from broken positioners."""
 
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, refusal, short
+from rfpsurvey._settings import Settings, option, options_of
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
 
-LENGTHS = ("outer", "inner", "arms", "broken")
-"""Names of the margins that are lengths."""
-FACTORS = ("broken_factor", "hidden_factor")
-"""Names of the margins that are factors."""
-WORDS = {
-    "outer": "{:g} mm from the outer edges of patrol areas",
-    "inner": "{:g} mm from the inner edges of patrol areas",
-    "arms": "{:g} mm around each arm",
-    "broken": "{:g} mm more than the minimum separation from arms of broken positioners",
-    "broken_factor": "{:g} patrol radii from the centers of broken positioners",
-    "hidden_factor": "{:g} times the radii of hidden circles",
-}
+LENGTH = {"low": 0, "below": 1e6, "sparse": True}
 
 
 @check_keywords
-@dataclass(frozen=True)
-class Margins:
+@dataclass(frozen=True, eq=False)
+class Margins(Settings):
     """Distances that plans keep from mechanical limits and from broken positioners.
 
     A positioner is broken if it is disabled or stuck. All margins except ``arms`` state which targets a positioner may
@@ -69,20 +59,25 @@ class Margins:
     array([1, 0])
     """
 
-    outer: u.Quantity[u.mm] = field(default=0 * u.mm)
-    inner: u.Quantity[u.mm] = field(default=0 * u.mm)
-    arms: u.Quantity[u.mm] = field(default=0 * u.mm)
-    broken: u.Quantity[u.mm] = field(default=0 * u.mm)
-    broken_factor: float = 0.0
-    hidden_factor: float = 1.0
+    outer: u.Quantity[u.mm] = option(0 * u.mm, **LENGTH, text="{:g} mm from the outer edges of patrol areas")
+    inner: u.Quantity[u.mm] = option(0 * u.mm, **LENGTH, text="{:g} mm from the inner edges of patrol areas")
+    arms: u.Quantity[u.mm] = option(0 * u.mm, **LENGTH, text="{:g} mm around each arm")
+    broken: u.Quantity[u.mm] = option(
+        0 * u.mm, **LENGTH, text="{:g} mm more than the minimum separation from arms of broken positioners"
+    )
+    broken_factor: float = option(
+        0.0,
+        low=0,
+        below=1e6,
+        sparse=True,
+        to_record=float,
+        text="{:g} patrol radii from the centers of broken positioners",
+    )
+    hidden_factor: float = option(
+        1.0, low=1, below=1e6, sparse=True, to_record=float, text="{:g} times the radii of hidden circles"
+    )
 
-    def __post_init__(self):
-        for name in LENGTHS:
-            to_scalar(getattr(self, name), u.mm, f"the margin {name}", low=0, high=1e6, closed=True)
-        for name, low in (("broken_factor", 0), ("hidden_factor", 1)):
-            value = getattr(self, name)
-            if not isinstance(value, int | float) or isinstance(value, bool) or not low <= value < 1e6:
-                raise refusal(f"the margin {name} must be a number of at least {low}", value, int, float)
+    _what = "the margin {}"
 
     @classmethod
     def from_numbers(cls, numbers: dict[str, float]) -> "Margins":
@@ -105,37 +100,31 @@ class Margins:
         """
         if not isinstance(numbers, dict):
             raise InputTypeError(f"margins must be numbers by name, got {short(numbers)}")
-        for name, value in numbers.items():
-            check_choice(name, (*LENGTHS, *FACTORS), "margin")
-            if not isinstance(value, int | float) or isinstance(value, bool):
-                raise InputTypeError(f"the margin {name} must be a number, got {short(value)}")
-        return cls(**{name: v * u.mm if name in LENGTHS else v for name, v in numbers.items()})
+        known = {one.name: one for one in options_of(cls)}
+        for name in numbers:
+            check_choice(name, known, "margin")
+        return cls(**{name: known[name].restored(value) for name, value in numbers.items()})
 
     @property
     def numbers(self) -> dict[str, float]:
         """All margins by name, lengths in mm."""
-        lengths = {name: float(getattr(self, name).to_value(u.mm)) for name in LENGTHS}
-        return lengths | {name: float(getattr(self, name)) for name in FACTORS}
-
-    @property
-    def record(self) -> dict[str, float]:
-        """The margins that have an effect, by name with the unit, such as ``outer_mm``."""
-        usual = {f.name: f.default for f in fields(self) if f.name in FACTORS}
-        units = dict.fromkeys(LENGTHS, "_mm")
-        return {name + units.get(name, ""): v for name, v in self.numbers.items() if v != usual.get(name, 0.0)}
+        return {one.name: float(one.plain(getattr(self, one.name))) for one in options_of(Margins)}
 
     def __bool__(self):
         return bool(self.record)
 
     def __str__(self):
-        units = dict.fromkeys(LENGTHS, " mm")
-        numbers = {name.removesuffix("_mm"): value for name, value in self.record.items()}
-        return ", ".join(f"{name} {value:g}{units.get(name, '')}" for name, value in numbers.items()) or "none"
+        return self._texts(lambda one, number: f"{one.name} {number:g}{f' {one.units[0]}' if one.units else ''}")
 
     @property
     def description(self) -> str:
         """The margins that have an effect as text for readers who do not know their names."""
-        return ", ".join(WORDS[name.removesuffix("_mm")].format(value) for name, value in self.record.items()) or "none"
+        return self._texts(lambda one, number: one.option.text.format(number))
+
+    def _texts(self, text: Callable) -> str:
+        """Return the texts of the margins that have an effect; ``text`` makes a text of an option and its value."""
+        known = [one for one in options_of(Margins) if not one.is_default(self)]
+        return listed(text(one, self.numbers[one.name]) for one in known)
 
 
 def check_margins(plane) -> None:
@@ -149,8 +138,7 @@ def check_margins(plane) -> None:
     if margins.outer > 0 or margins.inner > 0:
         inner, outer = plane.arrays.edges
         empty = np.flatnonzero((inner > outer) & plane.arrays.usable)
-        if len(empty):
-            k = empty[0]
+        for k in empty:
             raise InputError(
                 f"the margins outer and inner must leave a part of the patrol area of each usable positioner; the area "
                 f"of positioner {plane.id[k]} is from {plane.arrays.inner_radius[k]:.4g} to "

@@ -1,7 +1,10 @@
 """Find pairs of neighbors, and convert them to the forms that the kernels read."""
 
+from functools import cached_property
+
 import numpy as np
 
+from rfpsurvey._units import locked
 from rfpsurvey.focal_plane._reach import make_grid
 
 
@@ -27,25 +30,48 @@ def nearest_within(xy: np.ndarray, limit: float) -> np.ndarray:
     return nearest
 
 
-def find_runs(pairs: np.ndarray) -> np.ndarray:
-    """Return neighbors as sorted entries (i, j, n), each of which stands for n pairs: (i, j), (i + 1, j + 1), ...
+class Neighbors:
+    """Properties that `FocalPlaneArrays` inherits: the pairs of positioners whose arms may collide."""
 
-    If positioners are numbered along the rows of a lattice, a few entries (i, j, n) represent thousands of pairs.
-    """
-    if len(pairs) == 0:
-        return np.empty((0, 3), dtype=np.int64)
-    pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))]
-    first = np.append(True, (np.diff(pairs, axis=0) != 1).any(axis=1))
-    rows = np.flatnonzero(first)
-    runs = np.column_stack([pairs[rows], np.diff(np.append(rows, len(pairs)))])
-    return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+    @cached_property
+    def neighbors(self) -> np.ndarray:
+        pairs = pairs_within(self.xy, 2 * self.arm_reach.max() + self.separation + self.touch_slack)
+        return locked(pairs[self.can_touch(pairs, self.touch_slack)] if np.ptp(self.arm_reach) else pairs)
 
+    def can_touch(self, pairs: np.ndarray, slack: float = 0.0) -> np.ndarray:
+        """Return whether the arms of each pair can come closer than the minimum separation plus ``slack`` (mm)."""
+        distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
+        return distance < self.arm_reach[pairs].sum(axis=1) + self.separation + slack
 
-def both_ways(pairs: np.ndarray, n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Return the neighbors of each of n positioners in compressed rows: start of each row, and all neighbors.
+    @cached_property
+    def n_sharing(self) -> np.ndarray:
+        reach = self.largest_radius * (1 + 1e-6)
+        pairs = pairs_within(self.xy, 2 * reach.max())
+        distance = np.hypot(*(self.xy[pairs[:, 0]] - self.xy[pairs[:, 1]]).T)
+        near = [column[distance <= reach[column] + reach.max()] for column in pairs.T]
+        return locked(sum(np.bincount(rows, minlength=len(reach)) for rows in near))
 
-    The array of neighbors is never empty, because arrays on a GPU must not be empty.
-    """
-    both = np.vstack([pairs, pairs[:, ::-1]])
-    both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    return np.searchsorted(both[:, 0], np.arange(n + 1)), np.append(both[:, 1], 0)
+    @cached_property
+    def runs(self) -> np.ndarray:
+        """Neighbors as sorted entries (i, j, n), each of which stands for n pairs: (i, j), (i + 1, j + 1), ...
+
+        If positioners are numbered along the rows of a lattice, a few entries (i, j, n) represent thousands of pairs.
+        """
+        pairs = self.neighbors
+        if len(pairs) == 0:
+            return np.empty((0, 3), dtype=np.int64)
+        pairs = pairs[np.lexsort((pairs[:, 0], pairs[:, 1] - pairs[:, 0]))]
+        first = np.append(True, (np.diff(pairs, axis=0) != 1).any(axis=1))
+        rows = np.flatnonzero(first)
+        runs = np.column_stack([pairs[rows], np.diff(np.append(rows, len(pairs)))])
+        return runs[np.lexsort((runs[:, 1], runs[:, 0]))]
+
+    @cached_property
+    def both_ways(self) -> tuple[np.ndarray, np.ndarray]:
+        """All neighbors of each positioner in compressed rows (CSR): the start of each row, and the neighbors.
+
+        The array of neighbors is never empty, because arrays on a GPU must not be empty.
+        """
+        both = np.vstack([self.neighbors, self.neighbors[:, ::-1]])
+        both = both[np.lexsort((both[:, 1], both[:, 0]))]
+        return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)

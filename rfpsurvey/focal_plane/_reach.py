@@ -190,31 +190,14 @@ def _find_pairs(columns, points, accepts) -> Reach:
         pairs = pairs.where(keep)
     if not columns.poses_free:
         allowed, fiber = np.zeros(len(pairs.owner), dtype=bool), None
-        if columns.fibers is None and len(
-            plane.arrays.broken_pairs
-        ):  # the arm model can depend on the fiber type, even if the patrol area does not
+        # the arm model can depend on the fiber type, even if the patrol area does not
+        if columns.fibers is None and len(plane.arrays.broken_pairs):
             kind = accepts[pairs.target]
             fiber = np.where(kind < 0, columns.first_index[pairs.owner], np.log2(np.maximum(kind, 1)).astype(int))
         for side in {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]:
             allowed |= columns.poses_allowed(pairs.owner, points[pairs.target], side, fiber)
         pairs = pairs.where(allowed)
     return pairs
-
-
-def sides(columns, points, own=None, fiber=None) -> np.ndarray:
-    """Return the handedness with which each positioner (or each row in ``own``) reaches its point: +1 right, -1 left.
-
-    If arms can bend to both sides, the result is right, unless joint limits and margins allow only left.
-    """
-    handedness = columns.plane.positioner.handedness
-    side = np.full(len(points), -1.0 if handedness == "left" else 1.0)
-    if handedness == "both" and not columns.poses_free:
-        rows = np.flatnonzero(np.isfinite(points).all(axis=1))
-        own = np.arange(len(columns.plane)) if own is None else own
-        fiber = None if fiber is None else fiber[rows]
-        right, left = (columns.poses_allowed(own[rows], points[rows], s, fiber) for s in (1.0, -1.0))
-        side[rows[~right & left]] = -1.0
-    return side
 
 
 def elbow_names(side: np.ndarray) -> np.ndarray:

@@ -46,12 +46,8 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
             unit &= ~rows
             if rows.any():
                 columns[name] = np.column_stack([xy[rows], radius[rows]])
-    for name in PLAIN:
-        if name in names:
-            columns[name] = to_plain(table[name][unit], f"column {name!r}")
-    for name in LENGTHS:
-        if name in names:
-            columns[name] = _quantity(table, name, u.mm)[unit]
+    columns |= {name: to_plain(table[name][unit], f"column {name!r}") for name in PLAIN if name in names}
+    columns |= {name: _quantity(table, name, u.mm)[unit] for name in LENGTHS if name in names}
     for name, pair in PAIRS.items():
         if {*pair} <= {*names}:
             columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in pair])
@@ -155,16 +151,15 @@ def to_table(plane) -> QTable:
 
 
 def _quantity(table, name, unit):
-    column = table[name]
-    if getattr(column, "unit", None) is None:
-        raise InputError(f"column {name!r} must have a unit convertible to {unit}, got none")
-    if not column.unit.is_equivalent(unit):
-        raise InputError(f"column {name!r} must have a unit convertible to {unit}, got {column.unit}")
+    column, given = table[name], getattr(table[name], "unit", None)
+    if given is None or not given.is_equivalent(unit):
+        got = "none" if given is None else given
+        raise InputError(f"column {name!r} must have a unit convertible to {unit}, got {got}")
     values = to_plain(column, f"column {name!r}")
     if values.ndim != 1:
         raise InputError(f"column {name!r} must have one value per row, got the shape {values.shape}")
     try:
-        return u.Quantity(values.astype(float), column.unit).to(unit)
+        return u.Quantity(values.astype(float), given).to(unit)
     except ValueError as error:
         raise InputError(f"column {name!r} must hold numbers: {error}") from None
 
@@ -189,8 +184,7 @@ def _positioner_to_meta(positioner) -> dict:
             return value.to_dict()
         return {k: text(v) for k, v in value.items()} if isinstance(value, dict) else value
 
-    values = {f.name: getattr(positioner, f.name) for f in fields(positioner)}
-    return {name: text(value) for name, value in values.items() if value is not None}
+    return {f.name: text(v) for f in fields(positioner) if (v := getattr(positioner, f.name)) is not None}
 
 
 def _positioner_from_meta(meta) -> Positioner:
@@ -199,8 +193,7 @@ def _positioner_from_meta(meta) -> Positioner:
             "without the argument positioner, the meta of the table must have an entry 'positioner', such as "
             f"{{'central_arm': '8.25 mm', ...}}, got {meta!r}"
         )
-    names = {f.name for f in fields(Positioner)}
-    unknown = [name for name in meta if name not in names]
+    unknown = [name for name in meta if name not in {f.name for f in fields(Positioner)}]
     if unknown:
         raise InputError(f"the positioner in the table's meta has unknown entries: {', '.join(map(str, unknown))}")
 

@@ -4,10 +4,9 @@ from collections.abc import Container
 from dataclasses import replace
 from typing import Self
 
-import astropy.units as u
-
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.positioner import ARM_MODELS, ArmOutline
+from rfpsurvey.instrument._entries import select_entries, value_of
+from rfpsurvey.positioner import ARM_MODELS
 
 SECTION = "positioner."
 OUTLINE = "positioner.outline"
@@ -76,7 +75,7 @@ class ArmModels:
     def arm_models(self) -> tuple[str, ...]:
         """Arm models that `with_arm_model` accepts; the first one is the present arm model of the instrument."""
         own = self.focal_plane.positioner.arm_model
-        return (own, *_others(own, {name.removeprefix(SECTION) for name in self.values}))
+        return (own, *_others(own, select_entries(self.values, SECTION)))
 
     def with_arm_model(self, arm_model: str) -> Self:
         """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
@@ -118,23 +117,16 @@ class ArmModels:
         own = self.focal_plane.positioner.arm_model
         if arm_model == own:
             return self
-        source = f"with_arm_model; the arm model of the instrument is {own}"
-        own_entries = {name: entry for name, entry in self.values.items() if name.startswith(SECTION)}
-        entries = _switch(
-            {name.removeprefix(SECTION): entry for name, entry in own_entries.items()},
-            own,
-            arm_model,
-            {"status": "assumed", "source": source},
-        )
+        origin = {"status": "assumed", "source": f"with_arm_model; the arm model of the instrument is {own}"}
+        entries = _switch(select_entries(self.values, SECTION), own, arm_model, origin)
         values = {SECTION + name: entry for name, entry in entries.items()}
-        values |= {name: entry for name, entry in self.values.items() if name not in own_entries}
+        values |= {name: entry for name, entry in self.values.items() if not name.startswith(SECTION)}
         changes = {"arm_model": arm_model, "arm_length": None, "outline": None}
         if arm_model == "outline":
-            entry = entries["outline"]
-            changes |= {"outline": ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])), "clearance": 0 * u.mm}
+            changes["outline"] = value_of(entries["outline"])
         else:
-            changes |= {"arm_angle": None}
-        if own == "outline":
-            changes |= {"clearance": entries["clearance"]["value"] * u.Unit(entries["clearance"]["unit"])}
+            changes["arm_angle"] = None
+        if "outline" in (own, arm_model):
+            changes["clearance"] = value_of(entries["clearance"])
         plane = self.focal_plane
         return replace(self, focal_plane=replace(plane, positioner=replace(plane.positioner, **changes)), values=values)

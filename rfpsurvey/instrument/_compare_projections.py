@@ -11,6 +11,7 @@ from astropy.table import QTable
 from rfpsurvey._units import to_center, to_scalar, to_unit
 from rfpsurvey.errors import InputError, check_keywords, listed
 from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.instrument._entries import value_of
 from rfpsurvey.instrument._instrument import Instrument, as_instrument
 from rfpsurvey.observing import (
     MODELS,
@@ -187,15 +188,12 @@ def choose_projection(
     check_conditions(conditions, optional=True)
     compared = None if conditions is None else _compare(instrument, plane, [conditions])
     if isinstance(model, str) and model == "auto":
-        if compared is None:
-            model = "radial"
-        elif compared.sufficient is None:
+        model = "radial" if compared is None else compared.sufficient
+        if model is None:
             raise InputError(
                 "the projection 'auto' must have a tolerance, but the diameter of the instrument's fibers is unknown; "
                 "set the parameter tolerance of the conditions"
             )
-        else:
-            model = compared.sufficient
     model = model_of(model, conditions)
     record = {"model": model, **({} if compared is None else compared.record)}
     return field_of_model(model, *_field(instrument, plane, conditions)), record
@@ -213,8 +211,9 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
         tolerance = cases[0].tolerance
     entry = instrument.values.get("optics.fiber_diameter")
     if tolerance is None and entry is not None:
-        tolerance = FRACTION * entry["value"] * u.Unit(entry["unit"])
-    kinds = instrument.focal_plane.fiber_types if _by_type(instrument, cases[0]) else [None]
+        tolerance = FRACTION * value_of(entry)
+    by_type = isinstance(instrument.distortion, dict) or isinstance(cases[0].wavelength, dict)
+    kinds = instrument.focal_plane.fiber_types if by_type else [None]
     points, n_spread = _points(instrument, plane.plain, kinds)
     moved, drift = zip(*(displacements(points, kinds, *_field(instrument, plane, case)) for case in cases), strict=True)
     moved = {name: np.concatenate([one[name] for one in moved]) * u.mm for name in MODELS}
@@ -262,8 +261,3 @@ def _edge(plane: FocalPlane) -> np.ndarray:
     distance = sum(np.multiply.outer(*axis) for axis in zip(normals.T, arrays.xy.T, strict=True))
     row = np.argmax(distance + arrays.largest_radius, axis=1)
     return arrays.xy[row] + arrays.largest_radius[row, None] * normals
-
-
-def _by_type(instrument, conditions) -> bool:
-    """Return whether the positions on the focal plane depend on the fiber type."""
-    return isinstance(instrument.distortion, dict) or isinstance(conditions.wavelength, dict)

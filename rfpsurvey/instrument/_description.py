@@ -9,12 +9,12 @@ import numpy as np
 
 from rfpsurvey._readers import read_table, read_toml
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.focal_plane import FocalPlane, hexagonal_cells
-from rfpsurvey.instrument._arm_models import FULL_OUTLINE, switch_inherited
-from rfpsurvey.instrument._entries import check_description, sections_of, with_defaults
+from rfpsurvey.focal_plane import FocalPlane, cell_centers, hexagonal_cells
+from rfpsurvey.instrument._arm_models import SECTION, UNUSED, switch_inherited
+from rfpsurvey.instrument._entries import check_description, sections_of, value_of, with_defaults
 from rfpsurvey.instrument._modules import ONLY_MODULES, has_modules, layout_of_modules, refuse_unused, without_replaced
-from rfpsurvey.instrument._pfs_map import cobra_ids
-from rfpsurvey.positioner import ArmOutline, Positioner
+from rfpsurvey.instrument._pfs_files import cobra_ids
+from rfpsurvey.positioner import Positioner
 from rfpsurvey.projection import RadialMap
 
 PRESETS = Path(str(files("rfpsurvey"))) / "presets"
@@ -54,8 +54,7 @@ def build(content: dict, folder: Path) -> dict:
     check_description(content)
     if "positioner" not in content:
         raise InputError("the description must have the section [positioner], got none")
-    lacking = {"central_arm", "eccentric_arm", "clearance"} - set(content["positioner"])
-    if lacking:
+    if lacking := {"central_arm", "eccentric_arm", "clearance"} - set(content["positioner"]):
         raise InputError(f"[positioner] lacks {', '.join(sorted(lacking))}")
     sources, values = content.get("sources", {}), {}
     for section, entries in sections_of(content).items():
@@ -63,24 +62,11 @@ def build(content: dict, folder: Path) -> dict:
             values[f"{section}.{name}"] = {**entry, "source": sources.get(entry["source"], entry["source"])}
 
     def get(name, default=None):
-        entry = values.get(name)
-        if entry is None:
-            return default
-        value = entry["value"]
-        return value * u.Unit(entry["unit"]) if "unit" in entry else value
+        return value_of(values[name]) if name in values else default
 
-    own = {"arm_angle", "outline", "full_outline", "segment_clearance"}
-    options = {k: get(f"positioner.{k}") for k in content["positioner"] if k not in own}
-    angle = values.get("positioner.arm_angle")
-    if angle is not None:
-        value, unit = angle["value"], u.Unit(angle["unit"])
-        options["arm_angle"] = {t: v * unit for t, v in value.items()} if isinstance(value, dict) else value * unit
-    outline = values.get("positioner.outline")
-    if outline is not None:
-        options["outline"] = ArmOutline.from_dict(outline["value"], u.Unit(outline["unit"]))
-    full = values.get(FULL_OUTLINE)
-    if full is not None:
-        ArmOutline.from_dict(full["value"], u.Unit(full["unit"]))  # raises an error if it is not valid
+    options = {name: get(f"positioner.{name}") for name in content["positioner"]}
+    for name in UNUSED:
+        options.pop(name.removeprefix(SECTION), None)
     focal_plane = _layout(Positioner(**options), get, folder)
     entry = values.get("layout.obstacle_polygons")
     if entry is not None:
@@ -154,10 +140,7 @@ def _layout(positioner: Positioner, get, folder: Path) -> FocalPlane:
     if isinstance(get("layout.spectrographs"), int):
         columns["spectrograph"] = _groups(xy, get("layout.spectrographs"), get("layout.spectrograph_shape", "blocks"))
     if fiducials:
-        everything = {**shape, "vacant": [], "count": None, "inner_radius": 0 * u.mm}
-        all_xy, all_cells = hexagonal_cells(**everything)
-        index = {tuple(c): k for k, c in enumerate(all_cells.tolist())}
-        circles = all_xy[[index[tuple(c)] for c in fiducials]]
+        circles = cell_centers(*np.transpose(fiducials), shape["pitch"].to_value(u.mm), shape["rows_along"])
         radius = get("layout.fiducial_radius").to_value(u.mm)
         columns["obstacles"] = np.column_stack([circles, np.full(len(circles), radius)]) * u.mm
     return FocalPlane(xy * u.mm, positioner, **columns)
@@ -178,7 +161,6 @@ def _groups(xy, n_groups, shape):
     All spectrographs have almost the same number of positioners. Blocks are made by repeated division of the
     positioners into two groups.
     """
-    check_choice(shape, ("blocks", "wedges"), "shape of spectrograph groups")
     if not 1 <= n_groups <= len(xy):
         raise InputError(f"spectrographs must be a number from 1 to the number of positioners, got {n_groups}")
     group = np.empty(len(xy), dtype=int)

@@ -19,15 +19,13 @@ from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._arm_models import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
 from rfpsurvey.instrument._desi_state import find_conditions, find_latest, moment_of, read_polygons
-from rfpsurvey.instrument._desi_tables import number_rows, numbers, some, whole
-from rfpsurvey.instrument._missing import impossible_entry
-from rfpsurvey.positioner import ArmOutline
+from rfpsurvey.instrument._desi_tables import MOST_ANGLE, entry, impossible_entry, number_rows, numbers, some, whole
+from rfpsurvey.instrument._entries import value_of
 
 N_POSITIONERS = 5000
 # Limits of possible values, in mm and deg.
 LARGEST, SMALLEST, CLOSEST = 420.0, 10.0, 5.0  # distances from the center, and between two positioners
 LONGEST, SHORTEST = 6.0, 1.0  # arm lengths
-MOST_ANGLE = 400.0
 METROLOGY = ("LOCATION", "PETAL_LOC", "DEVICE_LOC", "DEVICE_TYPE", "X_FP", "Y_FP")
 LENGTHS = ("OFFSET_X", "OFFSET_Y", "LENGTH_R1", "LENGTH_R2")
 ANGLES = ("OFFSET_T", "OFFSET_P", "MIN_T", "MAX_T", "MIN_P", "MAX_P")
@@ -160,15 +158,13 @@ def _built(preset, plane, entries, notes, dropped=()):
     for name in ("positioner.handedness", "positioner.theta_range", "positioner.phi_range"):
         values[name] = {**values[name], "status": "derived", "source": f"{values[name]['source']}; mirror image of CS5"}
     if OUTLINE in values:
-        entry = values[OUTLINE]
-        mirror = ArmOutline.from_dict(entry["value"], u.Unit(entry["unit"])).mirrored().to_dict()
-        source = f"{entry['source']}; mirror image of CS5"
-        values[OUTLINE] = {"value": mirror, "unit": "mm", "status": "derived", "source": source}
+        mirror, source = value_of(values[OUTLINE]).mirrored().to_dict(), values[OUTLINE]["source"]
+        values[OUTLINE] = entry(mirror, f"{source}; mirror image of CS5", "derived", "mm")
     return replace(preset, focal_plane=plane, layout="as built", values=values, notes=f"{notes} {LEFT_OUT}")
 
 
 def _entry(value, path, source, unit=None, status="published"):
-    return {"value": value, **({"unit": unit} if unit else {}), "status": status, "source": f"{path.name}: {source}"}
+    return entry(value, f"{path.name}: {source}", status, unit)
 
 
 def _mirrored(positioner):
@@ -214,9 +210,7 @@ def _positioners(table, names, path):
     others = f" Rows of other devices are not used: {counts}." if counts else ""
     table = table[rows]
     ids, petal, device = (whole(table, name, path) for name in names[:3])
-    wrong = np.flatnonzero(ids != 1000 * petal + device)
-    if len(wrong):
-        k = wrong[0]
+    for k in np.flatnonzero(ids != 1000 * petal + device):
         raise InputError(
             f"{path}: LOCATION must be 1000 {names[1]} + {names[2]}, got {ids[k]} for {names[1]} {petal[k]} and "
             f"{names[2]} {device[k]}"

@@ -1,4 +1,4 @@
-"""Read the state and the exclusion polygons of a focal plane of desimodel."""
+"""Read the state, the exclusion polygons and the outlines of a focal plane of desimodel."""
 
 import json
 import re
@@ -9,13 +9,11 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._readers import check_is_file, check_size, content_of, entries_of, read_table, sentence
+from rfpsurvey._readers import check_size, content_of, entries_of, read_table, reading
 from rfpsurvey._units import to_plain
-from rfpsurvey.errors import InputError, number_of, refusal, warn
-from rfpsurvey.instrument._desi_outline import find_outline
-from rfpsurvey.instrument._desi_tables import number_rows, numbers, some, whole
-from rfpsurvey.instrument._missing import is_missing
-from rfpsurvey.positioner import ArmOutline
+from rfpsurvey.errors import InputError, number_of, refusing, warn
+from rfpsurvey.instrument._desi_tables import MOST_ANGLE, is_missing, number_rows, numbers, some, whole
+from rfpsurvey.positioner import ArmOutline, divide_polygon
 
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
@@ -26,17 +24,14 @@ MOST_YAML, MOST_JSON = 2**22, 2**26
 """Largest number of bytes of a file; YAML is slow to read, and only small files are in this format."""
 MOST_VALUES = 5_000_000
 MOST_WIDTH = 10
-MOST_ANGLE = 400.0
 
 
 def moment_of(value: object, what: str) -> datetime:
     """Convert a Time, or text in ISO 8601, to a datetime; text without a time zone is UTC."""
-    try:
+    with refusing(f"{what} must be a Time or text such as '2021-05-14T00:00:00'", value, str, Time):
         if isinstance(value, Time):
             return value.utc.to_datetime(timezone=UTC)
         found = datetime.fromisoformat(value)
-    except (TypeError, ValueError):
-        raise refusal(f"{what} must be a Time or text such as '2021-05-14T00:00:00'", value, str, Time) from None
     return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
 
 
@@ -44,8 +39,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
     """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
     found = {}
     for file in entries_of(folder):
-        match = NAME.fullmatch(file.name)
-        if match:
+        if match := NAME.fullmatch(file.name):
             date = moment_of(match[2], f"{file}: the date in the name")
             found.setdefault(date, {})[match[1]] = file
     dates = sorted(date for date, files in found.items() if "focalplane" in files)
@@ -170,21 +164,50 @@ def _half_width(polygon: object, what: str) -> float:
 
 def _load(path: Path) -> dict:
     """Return the content of a file in JSON or YAML, which may be compressed."""
-    check_is_file(path)
     is_yaml = ".yaml" in path.name
     content = content_of(path, most=MOST_YAML if is_yaml else MOST_JSON)
-    try:
+    with reading(path, "YAML" if is_yaml else "JSON"):
         if is_yaml:
             import yaml  # a dependency of astropy
 
             found = yaml.load(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         else:
             found = json.loads(content)
-    except RecursionError:
-        raise InputError(f"{path} cannot be read: it is nested too deeply") from None
-    except Exception as error:  # the parsers raise exceptions of several types
-        raise InputError(f"{path} cannot be read: {sentence(error)}") from None
     if not isinstance(found, dict):
         raise InputError(f"{path}: the file must contain a dict of polygons, got {type(found).__name__}")
     check_size(found, path, most_values=MOST_VALUES)
+    return found
+
+
+def find_outline(polygons: dict) -> ArmOutline:
+    """Return the outline of a positioner from its exclusion polygons in CS5.
+
+    The polygons ``phi`` are in the frame of the eccentric arm, and the polygons ``theta`` are in the frame of the
+    central arm. Circles become discs. The lines of the polygons need not be closed, because the program fiberassign
+    tests only whether lines intersect. Here, all lines that are not closed are connected at their nearest ends to form
+    one closed polygon.
+    """
+    return ArmOutline(_parts(polygons["phi"]), _parts(polygons.get("theta", {"segments": [], "circles": []})))
+
+
+def _parts(shape: dict) -> list:
+    """Return the convex parts of a shape that consists of lines and circles."""
+    lines = [np.array(line, dtype=float).reshape(-1, 2) for line in shape["segments"] if len(line)]
+    closed = [line for line in lines if len(line) > 3 and np.allclose(line[0], line[-1])]
+    open_lines = [line for line in lines if not any(line is one for one in closed)]
+    rings = [line[:-1] for line in closed] + ([_joined(open_lines)] if open_lines else [])
+    parts = [part for ring in rings for part in ((ring * u.mm,) if len(ring) < 3 else divide_polygon(ring * u.mm))]
+    return parts + [
+        (np.array([center], dtype=float) * u.mm, float(radius) * u.mm) for center, radius in shape["circles"]
+    ]
+
+
+def _joined(lines: list[np.ndarray]) -> np.ndarray:
+    """Return the vertices of all lines as one sequence; each line starts near the end of the preceding line."""
+    found, *others = lines
+    while others:
+        gaps = [[np.hypot(*(line[end] - found[-1])) for end in (0, -1)] for line in others]
+        k, end = np.unravel_index(np.argmin(gaps), (len(others), 2))
+        line = others.pop(k)
+        found = np.concatenate([found, line[::-1] if end else line])
     return found

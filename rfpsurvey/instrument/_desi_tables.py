@@ -1,4 +1,4 @@
-"""Read and check columns of the tables of DESI."""
+"""Read and check columns of the tables of observatories; values that cannot be true count as missing."""
 
 import astropy.units as u
 import numpy as np
@@ -6,9 +6,10 @@ import numpy as np
 from rfpsurvey._readers import is_number
 from rfpsurvey._units import check_columns, rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
-from rfpsurvey.instrument._missing import is_missing
 
 MOST_DEVICE, N_PETALS = 542, 10  # LOCATION is 1000 times the petal plus the device
+MOST_ANGLE = 400.0
+"""Largest absolute value of a joint angle that can be true, deg."""
 ROW = "_row"
 """Name of a column with the number of each row in the file, counted from 1."""
 
@@ -47,11 +48,10 @@ def numbers(
         raise InputError(f"{what} must hold a finite number for each row, but {rows_of(in_file)} have none")
     found = (values * given).to_value(unit)
     low = -most if low is None else low
-    strange = np.flatnonzero(is_missing(found, low, most, codes=codes))
-    if len(strange):
+    for k in np.flatnonzero(is_missing(found, low, most, codes=codes)):
         raise InputError(
             f"{what} must hold numbers from {low:g} to {most:g} {unit}{', and no codes such as 99 or -999' * codes}, "
-            f"got {found[strange[0]]:g} in row {table[ROW][strange[0]]}"
+            f"got {found[k]:g} in row {table[ROW][k]}"
         )
     return found
 
@@ -80,3 +80,42 @@ def _example(values) -> str:
         return f"the shape {values.shape}"
     text = [one for one in values.tolist() if not is_number(one)]
     return f"{values.dtype.name}" if not text else f"{text[0]!r}"
+
+
+CODES = np.array([99, 999, 9999, 99999, 999999], dtype=float)
+"""Numbers that observatories write instead of missing values, with either sign."""
+
+
+IMPOSSIBLE = "layout.impossible_values"
+"""Name of the value of an instrument that counts the positioners with impossible values in the files."""
+
+
+def entry(value: object, source: str, status: str = "published", unit: str | None = None) -> dict:
+    """Return an entry of the values of an instrument."""
+    return {"value": value, **({} if unit is None else {"unit": unit}), "status": status, "source": source}
+
+
+def impossible_entry(n: int, source: str) -> dict:
+    """Return the value of an instrument that counts positioners with impossible values; empty if there are none."""
+    return {IMPOSSIBLE: entry(n, source, "derived")} if n else {}
+
+
+def impossible_sentence(instrument) -> str:
+    """Return text with the number of positioners with impossible values in the files of an instrument."""
+    n = instrument.values.get(IMPOSSIBLE, {}).get("value", 0)
+    if not n:
+        return ""
+    n_disabled = np.count_nonzero(instrument.focal_plane.disabled)
+    return (
+        " The files of the instrument have impossible values, which count as missing, for "
+        f"{number_of(n, 'positioner')} (see its notes); {n_disabled} of all positioners are disabled."
+    )
+
+
+def is_missing(values: np.ndarray, low: float, high: float, *, codes: bool = True) -> np.ndarray:
+    """Return whether values are NaN, are outside physical limits, or are codes for missing values.
+
+    If ``codes`` is False, codes between the limits are valid values.
+    """
+    wrong = ~((values >= low) & (values <= high))
+    return wrong | np.isin(np.abs(values), CODES) if codes else wrong

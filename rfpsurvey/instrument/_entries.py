@@ -9,13 +9,11 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey.errors import InputError, check_choice, listed
-from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS
+from rfpsurvey.positioner import ARM_MODELS, HANDEDNESS, ArmOutline
 
 STATUSES = ("published", "derived", "assumed")
 PARTS = ("value", "unit", "status", "source")
 NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
-SCALE = u.mm / u.rad
-MOST_NUMBER = 1e12
 
 
 @dataclass(frozen=True)
@@ -28,207 +26,171 @@ class Kind:
     unit: u.UnitBase | None = None
 
 
-def _is_number(value, low=-inf, high=inf) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and low <= value <= high
+def _number(low: float = -inf, high: float = inf) -> Callable:
+    """Return the function that states whether a value is a number from ``low`` to ``high``."""
+    return lambda value: (
+        isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value) and low <= value <= high
+    )
 
 
-def _is_whole(value, low=-inf, high=inf) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
+def _whole(low: float = -inf, high: float = inf) -> Callable:
+    """Return the function that states whether a value is a whole number from ``low`` to ``high``."""
+    return lambda value: isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
 
 
-def _is_text(value) -> bool:
+def _is_text(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip())
 
 
-def _is_list(value, fits, n=None) -> bool:
-    return isinstance(value, list) and all(map(fits, value)) and (n is None or len(value) == n)
+def _list(fits: Callable, least: int = 0, most: float = inf) -> Callable:
+    """Return the function that states whether a value is a list of ``least`` to ``most`` values that fit."""
+    return lambda value: isinstance(value, list) and all(map(fits, value)) and least <= len(value) <= most
 
 
-def _number(what, low=-inf, high=MOST_NUMBER, unit=None) -> Kind:
-    return Kind(what, lambda value: _is_number(value, low, high), unit)
+def _table(fits: Callable, least: int = 1) -> Callable:
+    """Return the function that states whether a value is a table with any keys, whose values fit."""
+    return lambda value: isinstance(value, dict) and all(map(fits, value.values())) and least <= len(value)
 
 
-def _whole(low, high) -> Kind:
-    return Kind(f"a whole number from {low} to {high}", lambda value: _is_whole(value, low, high))
+def _keys(needed: dict[str, Callable], **optional: Callable) -> Callable:
+    """Return the function that states whether a value is a table with given keys, each of which has its function."""
+    known = needed | optional
+
+    def fits(value: object) -> bool:
+        has_keys = isinstance(value, dict) and needed.keys() <= value.keys() <= known.keys()
+        return has_keys and all(known[name](part) for name, part in value.items())
+
+    return fits
 
 
-def _choice(*names) -> Kind:
+def _either(*fits: Callable) -> Callable:
+    """Return the function that states whether a value fits one of several functions."""
+    return lambda value: any(one(value) for one in fits)
+
+
+def _choice(*names: str) -> Kind:
     return Kind(f"one of {', '.join(names)}", lambda value: isinstance(value, str) and value in names)
 
 
-def _is_point(value) -> bool:
-    return _is_list(value, _is_number, 2)
+def _count(low: int, high: int) -> Kind:
+    return Kind(f"a whole number from {low} to {high}", _whole(low, high))
 
 
-def _is_class(value) -> bool:
-    return (
-        isinstance(value, dict)
-        and set(value) <= {"places", "central_arm", "eccentric_arm"}
-        and _is_list(value.get("places", []), _is_whole)
-        and all(_is_number(length, TINY, MOST_NUMBER) for name, length in value.items() if name != "places")
-    )
+def _is_table(value: object) -> bool:
+    return isinstance(value, dict)
 
 
-def _is_map(value) -> bool:
-    if not isinstance(value, dict) or not set(value) <= {"form", "coefficients", "radius", "unit_tangent"}:
-        return False
-    numbers = [value[name] for name in ("radius", "unit_tangent") if name in value]
-    coefficients = value.get("coefficients")
-    return (
-        _is_text(value.get("form"))
-        and _is_list(coefficients, _is_number)
-        and 0 < len(coefficients) <= 100
-        and all(_is_number(number, 1e-300) for number in numbers)
-    )
+def _has_id(value: object) -> bool:
+    return _is_table(value) and "id" in value
 
 
-def _is_outline(value) -> bool:
-    return (
-        isinstance(value, dict)
-        and {"eccentric"} <= set(value) <= {"eccentric", "central"}
-        and all(_is_list(parts, _is_part) for parts in value.values())
-    )
-
-
-def _is_part(value) -> bool:
-    return (
-        isinstance(value, dict)
-        and {"vertices"} <= set(value) <= {"vertices", "radius"}
-        and _is_list(value["vertices"], _is_point)
-        and len(value["vertices"]) > 0
-        and _is_number(value.get("radius", 0), 0)
-    )
-
-
-TINY = 1e-300  # lower limit of positive numbers
-LENGTH = _number("a length above 0", TINY, unit=u.mm)
-CLOSED_LENGTH = _number("a length of at least 0", 0, unit=u.mm)
-ANGLES = Kind("two angles", _is_point, u.rad)
-CELLS = Kind(
-    "a list of pairs of whole numbers",
-    lambda value: _is_list(value, lambda cell: _is_list(cell, lambda k: _is_whole(k, -1000, 1000), 2)),
-)
+TINY, MOST = 1e-300, 1e12  # limits of positive numbers
+IS_POINT, POSITIVE = _list(_number(), 2, 2), _number(TINY)
+IS_LENGTH, IS_CELL = _number(TINY, MOST), _list(_whole(-1000, 1000), 2, 2)
+IS_POLYGON = _list(IS_POINT, 3)
+IS_PARTS = _list(_keys({"vertices": _list(IS_POINT, 1)}, radius=_number(0)))
+IS_MAP = _keys({"form": _is_text, "coefficients": _list(_number(), 1, 100)}, radius=POSITIVE, unit_tangent=POSITIVE)
+LENGTH = Kind("a length above 0", IS_LENGTH, u.mm)
+CLOSED_LENGTH = Kind("a length of at least 0", _number(0, MOST), u.mm)
+ANGLES = Kind("two angles", IS_POINT, u.rad)
+CELLS = Kind("a list of pairs of whole numbers", _list(IS_CELL))
 OUTLINE = Kind(
     "a table with the key eccentric (and, optionally, central); each key has a list of parts, and each part has "
     "vertices (and, optionally, a radius of at least 0)",
-    _is_outline,
+    _keys({"eccentric": IS_PARTS}, central=IS_PARTS),
     u.mm,
 )
-POINTS = Kind("a list of at least three points", lambda value: _is_list(value, _is_point) and len(value) > 2, u.mm)
 TEXT = Kind("text", _is_text)
-STATES = Kind(
-    "the name of a file, or a list of tables with the key id",
-    lambda value: _is_text(value) or (_is_list(value, lambda row: isinstance(row, dict) and "id" in row) and value),
-)
-NAMES = Kind("a list of names", lambda value: _is_list(value, _is_text) and len(value) > 0)
-ENTRIES = {
-    "positioner.central_arm": LENGTH,
-    "positioner.eccentric_arm": LENGTH,
-    "positioner.clearance": CLOSED_LENGTH,
-    "positioner.segment_clearance": CLOSED_LENGTH,
-    "positioner.step": _number("an angle of at least 0", 0, unit=u.rad),
-    "positioner.handedness": _choice(*HANDEDNESS),
-    "positioner.theta_range": ANGLES,
-    "positioner.phi_range": ANGLES,
-    "positioner.home": ANGLES,
-    "positioner.displacement": CLOSED_LENGTH,
-    "positioner.arm_model": _choice(*ARM_MODELS),
-    "positioner.arm_length": CLOSED_LENGTH,
-    "positioner.arm_angle": Kind(
-        "an angle, or a table with an angle for each fiber type",
-        lambda value: (
-            _is_number(value) or (isinstance(value, dict) and len(value) > 0 and all(map(_is_number, value.values())))
+POSITIVE_NUMBER = Kind("a number above 0", _number(TINY, MOST))
+SECTION_ENTRIES = {
+    "positioner": {
+        **dict.fromkeys(("central_arm", "eccentric_arm"), LENGTH),
+        **dict.fromkeys(("clearance", "segment_clearance", "displacement", "arm_length"), CLOSED_LENGTH),
+        **dict.fromkeys(("theta_range", "phi_range", "home"), ANGLES),
+        **dict.fromkeys(("outline", "full_outline"), OUTLINE),
+        "step": Kind("an angle of at least 0", _number(0, MOST), u.rad),
+        "handedness": _choice(*HANDEDNESS),
+        "arm_model": _choice(*ARM_MODELS),
+        "arm_angle": Kind(
+            "an angle, or a table with an angle for each fiber type", _either(_number(), _table(_number())), u.rad
         ),
-        u.rad,
-    ),
-    "positioner.outline": OUTLINE,
-    "positioner.full_outline": OUTLINE,
-    "layout.obstacle_polygons": Kind(
-        "a list of polygons, which are lists of at least three points",
-        lambda value: _is_list(value, POINTS.fits) and len(value) > 0,
-        u.mm,
-    ),
-    "margins.outer": CLOSED_LENGTH,
-    "margins.inner": CLOSED_LENGTH,
-    "margins.arms": CLOSED_LENGTH,
-    "margins.broken": CLOSED_LENGTH,
-    "margins.broken_factor": _number("a number of at least 0", 0),
-    "margins.hidden_factor": _number("a number of at least 1", 1),
-    "layout.table": TEXT,
-    "layout.states": STATES,
-    "layout.rings": _whole(0, 500),
-    "layout.count": _whole(1, 1_000_000),
-    "layout.pitch": LENGTH,
-    "layout.inner_radius": CLOSED_LENGTH,
-    "layout.rows_along": _choice("x", "y"),
-    "layout.vacant_cells": CELLS,
-    "layout.fiducial_cells": CELLS,
-    "layout.fiducial_radius": CLOSED_LENGTH,
-    "layout.modules": Kind(
-        "the name of a file, or a list of modules [x, y, rotation] in mm and deg",
-        lambda value: _is_text(value) or (_is_list(value, lambda row: _is_list(row, _is_number, 3)) and len(value) > 0),
-    ),
-    "layout.module_rows": _whole(1, 200),
-    "layout.module_corners": _choice("vacant", "used"),
-    "layout.module_places": Kind("a list of points", lambda value: _is_list(value, _is_point) and len(value) > 0, u.mm),
-    "layout.module_outline": POINTS,
-    "layout.module_wall": LENGTH,
-    "layout.module_classes": Kind(
-        "a table whose keys are fiber types and whose values are tables with places (numbers from 1), central_arm and "
-        "eccentric_arm (mm)",
-        lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_class, value.values())),
-    ),
-    "layout.module_side": LENGTH,
-    "layout.module_gap": CLOSED_LENGTH,
-    "layout.group_gap": CLOSED_LENGTH,
-    "layout.group_radius": LENGTH,
-    "layout.module_radius": LENGTH,
-    "layout.focal_surface": Kind(
-        "a radius of curvature above 0, or a list of at least three points [R, Z]",
-        lambda value: POINTS.fits(value) or _is_number(value, TINY),
-        u.mm,
-    ),
-    "layout.names": _choice("row and column", "cobra"),
-    "layout.fiber_types": NAMES,
-    "layout.first_type_only_cells": CELLS,
-    "layout.spectrographs": Kind(
-        "a whole number from 1 to 1000000, or 'one a fiber type' or 'one a module'",
-        lambda value: _is_whole(value, 1, 1_000_000) or value in ("one a fiber type", "one a module"),
-    ),
-    "layout.spectrograph_shape": _choice("blocks", "wedges"),
-    "optics.plate_scale": _number("a positive length per angle", TINY, 1e12, SCALE),
-    "optics.max_angle": _number("an angle above 0", TINY, unit=u.rad),
-    "optics.fiber_diameter": LENGTH,
-    "optics.factor": _number("a number above 0", TINY),
-    "optics.radial_map": Kind(
-        "a table whose keys are fiber types (or the single key any) and whose values are tables with form and "
-        "coefficients (and, optionally, radius and unit_tangent above 0)",
-        lambda value: isinstance(value, dict) and len(value) > 0 and all(map(_is_map, value.values())),
-    ),
-    "observing.targets_per_fiber": _number("a number above 0", TINY),
+    },
+    "margins": {
+        **dict.fromkeys(("outer", "inner", "arms", "broken"), CLOSED_LENGTH),
+        "broken_factor": Kind("a number of at least 0", _number(0, MOST)),
+        "hidden_factor": Kind("a number of at least 1", _number(1, MOST)),
+    },
+    "layout": {
+        **dict.fromkeys(("pitch", "module_wall", "module_side", "group_radius", "module_radius"), LENGTH),
+        **dict.fromkeys(("inner_radius", "fiducial_radius", "module_gap", "group_gap"), CLOSED_LENGTH),
+        **dict.fromkeys(("vacant_cells", "fiducial_cells", "first_type_only_cells"), CELLS),
+        "table": TEXT,
+        "states": Kind("the name of a file, or a list of tables with the key id", _either(_is_text, _list(_has_id, 1))),
+        "rings": _count(0, 500),
+        "count": _count(1, 1_000_000),
+        "rows_along": _choice("x", "y"),
+        "obstacle_polygons": Kind(
+            "a list of polygons, which are lists of at least three points", _list(IS_POLYGON, 1), u.mm
+        ),
+        "modules": Kind(
+            "the name of a file, or a list of modules [x, y, rotation] in mm and deg",
+            _either(_is_text, _list(_list(_number(), 3, 3), 1)),
+        ),
+        "module_rows": _count(1, 200),
+        "module_corners": _choice("vacant", "used"),
+        "module_places": Kind("a list of points", _list(IS_POINT, 1), u.mm),
+        "module_outline": Kind("a list of at least three points", IS_POLYGON, u.mm),
+        "module_classes": Kind(
+            "a table whose keys are fiber types and whose values are tables with places (numbers from 1), central_arm "
+            "and eccentric_arm (mm)",
+            _table(_keys({}, places=_list(_whole()), central_arm=IS_LENGTH, eccentric_arm=IS_LENGTH)),
+        ),
+        "focal_surface": Kind(
+            "a radius of curvature above 0, or a list of at least three points [R, Z]",
+            _either(IS_POLYGON, POSITIVE),
+            u.mm,
+        ),
+        "names": _choice("row and column", "cobra"),
+        "fiber_types": Kind("a list of names", _list(_is_text, 1)),
+        "spectrographs": Kind(
+            "a whole number from 1 to 1000000, or 'one a fiber type' or 'one a module'",
+            _either(_whole(1, 1_000_000), ("one a fiber type", "one a module").__contains__),
+        ),
+        "spectrograph_shape": _choice("blocks", "wedges"),
+    },
+    "optics": {
+        "plate_scale": Kind("a positive length per angle", IS_LENGTH, u.mm / u.rad),
+        "max_angle": Kind("an angle above 0", IS_LENGTH, u.rad),
+        "fiber_diameter": LENGTH,
+        "factor": POSITIVE_NUMBER,
+        "radial_map": Kind(
+            "a table whose keys are fiber types (or the single key any) and whose values are tables with form and "
+            "coefficients (and, optionally, radius and unit_tangent above 0)",
+            _table(IS_MAP),
+        ),
+    },
+    "observing": {"targets_per_fiber": POSITIVE_NUMBER},
 }
-OBSERVING = _whole(0, 1_000_000)
+ENTRIES = {f"{section}.{name}": kind for section, kinds in SECTION_ENTRIES.items() for name, kind in kinds.items()}
+OBSERVING = _count(0, 1_000_000)
 NEEDS = ("sky", "standards", "sky_per_spectrograph", "standards_per_spectrograph")
 DEFAULTS = ("status", "source")
 """Keys of entries for which a description may set a default value at the top of the file."""
 RULES = "rules"
 """Name of the section with the rules of the observatory, which contains a section for each name of rules."""
-RULE = Kind(
-    "the text of a constraint, or a list of such texts",
-    lambda value: _is_text(value) or (_is_list(value, _is_text) and len(value) > 0),
-)
+RULE = Kind("the text of a constraint, or a list of such texts", _either(_is_text, _list(_is_text, 1)))
 CAMERAS = "cameras"
 """Name of the section with the guide and focus cameras, whose entries have the names of the cameras."""
 CAMERA = Kind(
     "the corners of a camera, which are at least three points that do not lie on a line",
-    lambda value: POINTS.fits(value) and np.linalg.matrix_rank(np.subtract(value, value[0]), 1e-6) == 2,
+    lambda value: IS_POLYGON(value) and np.linalg.matrix_rank(np.subtract(value, value[0]), 1e-6) == 2,
     u.mm,
 )
-SECTIONS = ("positioner", "margins", "layout", "optics", "observing", CAMERAS)
-TABLE = Kind("a table", lambda value: isinstance(value, dict))
+SECTIONS = (*SECTION_ENTRIES, CAMERAS)
+TABLE = Kind("a table", _is_table)
 WORDS = Kind("text", lambda value: isinstance(value, str))
 TOP = {
-    "schema": Kind("1, the only schema that this version of rfpsurvey reads", lambda value: _is_whole(value, 1, 1)),
+    "schema": Kind("1, the only schema that this version of rfpsurvey reads", _whole(1, 1)),
     "name": TEXT,
     "title": WORDS,
     "layout_is": WORDS,
@@ -237,10 +199,9 @@ TOP = {
     "status": _choice(*STATUSES),
     "source": TEXT,
     "sources": Kind(
-        "a table whose values are text (for a single text, write source instead of sources)",
-        lambda value: isinstance(value, dict) and all(map(_is_text, value.values())),
+        "a table whose values are text (for a single text, write source instead of sources)", _table(_is_text, 0)
     ),
-    RULES: Kind("a table of tables", lambda value: isinstance(value, dict) and all(map(TABLE.fits, value.values()))),
+    RULES: Kind("a table of tables", _table(_is_table, 0)),
     **dict.fromkeys(SECTIONS, TABLE),
 }
 
@@ -249,6 +210,21 @@ def sections_of(content: dict) -> dict[str, dict]:
     """Return the sections of a description that contain entries, by name, such as ``optics`` or ``rules.dark``."""
     rules = {f"{RULES}.{name}": entries for name, entries in content.get(RULES, {}).items()}
     return {name: content.get(name, {}) for name in SECTIONS} | rules
+
+
+def select_entries(values: dict, beginning: str) -> dict:
+    """Return the entries whose names have a beginning, such as ``positioner.``, by the rests of their names."""
+    return {name.removeprefix(beginning): entry for name, entry in values.items() if name.startswith(beginning)}
+
+
+def value_of(entry: dict) -> object:
+    """Return the value of an entry: an outline, a quantity, a dict of quantities, or a plain value."""
+    value, unit = entry["value"], u.Unit(entry.get("unit", ""))
+    if isinstance(value, dict) and isinstance(value.get("eccentric"), list):
+        return ArmOutline.from_dict(value, unit)
+    if "unit" not in entry:
+        return value
+    return {kind: one * unit for kind, one in value.items()} if isinstance(value, dict) else value * unit
 
 
 def with_defaults(content: dict) -> dict:
@@ -314,15 +290,15 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 def _refuse_name(section: str, name: str) -> None:
     """Raise an error for an unknown name in a section; the message contains a similar name or the correct section."""
-    home = [other for other in SECTIONS if f"{other}.{name}" in ENTRIES]
+    home = [other for other, kinds in SECTION_ENTRIES.items() if name in kinds]
     if name in TOP:
         raise InputError(
             f"[{section}] must not have the entry {name!r}, which belongs at the top of the file, before all sections"
         )
     if home:
         raise InputError(f"[{section}] must not have the entry {name!r}, which belongs in [{home[0]}]")
-    known = {key.partition(".")[2] for key in ENTRIES if key.startswith(f"{section}.")}
-    check_choice(name, known | set(NEEDS if section == "observing" else ()), f"entry of [{section}]")
+    known = {*SECTION_ENTRIES.get(section, ()), *(NEEDS if section == "observing" else ())}
+    check_choice(name, known, f"entry of [{section}]")
 
 
 def _example(kind: Kind, value: object) -> str:

@@ -32,11 +32,9 @@ from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import _description
 from rfpsurvey.instrument._arm_models import UNUSED, ArmModels
 from rfpsurvey.instrument._as_built import AsBuilt
+from rfpsurvey.instrument._described import MARGINS, RULES, Described
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
-from rfpsurvey.instrument._margins import PREFIX, WithMargins
-from rfpsurvey.instrument._projections import Projections
-from rfpsurvey.instrument._rules import RULES, WithRules
 from rfpsurvey.instrument._states import LISTED, States, apply_entry, moments_at
 from rfpsurvey.projection import RadialMap
 
@@ -46,7 +44,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules):
+class Instrument(ArmModels, AsBuilt, Described, States):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -139,8 +137,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules
         """Requirements on sky fibers and standard stars for `allocate`, such as ``sky=20/spectrograph``."""
         found = []
         for name, entry in self.values.items():
-            match = NEED.fullmatch(name)
-            if match:
+            if match := NEED.fullmatch(name):
                 fiber, kind, per = match.groups()
                 fiber = f"@{fiber.upper()}" if fiber else ""
                 found.append(f"{kind.removesuffix('s')}{fiber}={entry['value']}{'/spectrograph' if per else ''}")
@@ -288,7 +285,7 @@ class Instrument(ArmModels, AsBuilt, Projections, States, WithMargins, WithRules
     @property
     def _used(self) -> dict:
         """The values on which results depend, apart from the margins of the focal plane."""
-        return {k: v for k, v in self.values.items() if k not in UNUSED and not k.startswith((PREFIX, RULES))}
+        return {k: v for k, v in self.values.items() if k not in UNUSED and not k.startswith((MARGINS, RULES))}
 
     @cached_property
     def _digest(self) -> str:

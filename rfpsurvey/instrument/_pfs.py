@@ -13,9 +13,18 @@ import numpy as np
 from rfpsurvey._readers import entries_of, head_of, is_present, suffix_of, to_path
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._missing import impossible_entry
-from rfpsurvey.instrument._pfs_files import GOOD, read_cobras, read_dots, read_fiducials, read_interference, to_paths
-from rfpsurvey.instrument._pfs_map import N, nominal_centers, pfs_fibers
+from rfpsurvey.instrument._desi_tables import entry, impossible_entry
+from rfpsurvey.instrument._pfs_files import (
+    GOOD,
+    N,
+    nominal_centers,
+    pfs_fibers,
+    read_cobras,
+    read_dots,
+    read_fiducials,
+    read_interference,
+    to_paths,
+)
 
 PATTERNS = {
     "dots": "black_dots_mm*.csv*",
@@ -70,32 +79,37 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
     xy = circles[:, :2] - offset if arms is None else np.column_stack([arms["x"], arms["y"]])
     positioner = replace(nominal.focal_plane.positioner, handedness="left")
     values = {name: v for name, v in nominal.values.items() if not name.startswith("layout.")}
-    values["positioner.handedness"] = _entry("left", "published", ANGLES)
-    values["layout.ids"] = _entry("cobraId", "published", MAP)
-    values["layout.spectrographs"] = _entry("spectrograph of the fiber of each cobra", "published", MAP)
-    values["layout.dots"] = _entry(N, "published", dots.name)
-    notes, columns = [_note_on_dots(dots, circles, offset)], {}
+    values["positioner.handedness"] = entry("left", ANGLES)
+    values["layout.ids"] = entry("cobraId", MAP)
+    values["layout.spectrographs"] = entry("spectrograph of the fiber of each cobra", MAP)
+    values["layout.dots"] = entry(N, dots.name)
+    note = (
+        f"{dots.name}: {len(circles)} dots of radius {circles[:, 2].min():.3f} to {circles[:, 2].max():.3f} mm hide "
+        f"fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
+        f"center of its cobra is ({offset[0]:.3f}, {offset[1]:.3f}) mm."
+    )
+    notes, columns = [note], {}
     if arms is None:
-        values["layout.centers"] = _entry("positions of the dots minus their mean offset", "derived", dots.name)
-        values["layout.dot_offset"] = _entry([round(float(v), 6) for v in offset], "derived", dots.name, "mm")
+        values["layout.centers"] = entry("positions of the dots minus their mean offset", dots.name, "derived")
+        values["layout.dot_offset"] = entry([round(float(v), 6) for v in offset], dots.name, "derived", "mm")
     else:
         names = ", ".join(path.name for path in to_paths(cobras))
         columns, defects = _arm_columns(arms, positioner)
         values |= impossible_entry(int(arms["unknown"].sum()), names)
         values.pop("positioner.theta_range", None)
         for name in ("centers", "arms", "zero_points", "joint_limits"):
-            values[f"layout.{name}"] = _entry("values for each cobra", "published", names)
+            values[f"layout.{name}"] = entry("values for each cobra", names)
         notes.append(f"Centers, arms and joint limits are taken from {names}. {defects}")
     if fiducials is not None:
         path = to_path(fiducials)
         columns["obstacles"], text = read_fiducials(path)
-        values["layout.fiducials"] = _entry(len(columns["obstacles"]), "published", path.name)
+        values["layout.fiducials"] = entry(len(columns["obstacles"]), path.name)
         notes.append(text)
     if interference is not None:
         path = to_path(interference)
         limits = read_interference(path)
         text = _restrict(columns, limits, arms)
-        values["layout.interference"] = _entry(int(np.isfinite(limits[:, 0]).sum()), "published", path.name)
+        values["layout.interference"] = entry(int(np.isfinite(limits[:, 0]).sum()), path.name)
         notes.append(f"{path.name}: {text}")
     plane = FocalPlane(
         xy * u.mm, positioner, id=np.arange(1, N + 1), spectrograph=pfs_fibers()[1], hidden=circles * u.mm, **columns
@@ -125,10 +139,9 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         "disabled": bad | unknown,
     }
     low, high = columns["phi_range"].T
-    if not (low < high).all():
-        row = int(np.flatnonzero(~(low < high))[0]) + 1
+    for row in np.flatnonzero(~(low < high)):
         raise InputError(
-            f"Joint2_CCW_limit_angle must be below Joint2_CW_limit_angle, got the opposite for cobra {row}"
+            f"Joint2_CCW_limit_angle must be below Joint2_CW_limit_angle, got the opposite for cobra {row + 1}"
         )
     text = (
         f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
@@ -183,18 +196,6 @@ def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
     """
     phi = np.deg2rad(np.linspace(np.minimum(extended, 0), 0, 200))
     return np.rad2deg(np.arctan2(-l2 * np.sin(phi), l1 + l2 * np.cos(phi))).max(axis=0)
-
-
-def _note_on_dots(path: Path, circles: np.ndarray, offset: np.ndarray) -> str:
-    return (
-        f"{path.name}: {len(circles)} dots of radius {circles[:, 2].min():.3f} to {circles[:, 2].max():.3f} mm hide "
-        f"fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
-        f"center of its cobra is ({offset[0]:.3f}, {offset[1]:.3f}) mm."
-    )
-
-
-def _entry(value, status: str, source: str, unit: str | None = None) -> dict:
-    return {"value": value, **({} if unit is None else {"unit": unit}), "status": status, "source": source}
 
 
 def _given(**values) -> dict:

@@ -1,15 +1,73 @@
-"""Readers of the files of PFS: dots, fiducials, interference limits and calibration models of the cobras."""
+"""Readers of the files of PFS: fiber map, dots, fiducials, interference limits and calibration models of the cobras."""
 
 from pathlib import Path
 
 import astropy.units as u
 import numpy as np
+import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._readers import check_is_file, content_of, is_number, read_table, sentence, to_path
-from rfpsurvey._units import check_columns, check_unique
+from rfpsurvey._units import check_unique
 from rfpsurvey.errors import InputError
-from rfpsurvey.instrument._missing import is_missing
-from rfpsurvey.instrument._pfs_map import N_COBRAS, N, nominal_centers
+from rfpsurvey.instrument._desi_tables import is_missing, number_rows
+
+N_FIELDS, N_MODULES, N_COBRAS = 3, 14, 57  # numbers of fields, of modules per field and of cobras per module
+N = N_FIELDS * N_MODULES * N_COBRAS
+PITCH = 8.0
+# Position angle (deg) of the +y axis of the focal plane of PFS (PFI) at POSANG = 0. The +x axis points north, and the
+# +y axis points west. The difference of 0.1 deg from -90 deg is the rotation between pfiNominal and the sky coordinates
+# in the design 0x2a3e0e7f53f47587.
+PFI_ANGLE = -89.898
+# Boards of cobras in the order of their fibers along the slit of each spectrograph. A name consists of the number of a
+# module in its field and of the half of this module, A or B. Each name stands for three boards, one of each field.
+BOARDS = ("4A 12A 4B 14B 12B 8B 8A", "3A 11A 3B 13B 11B 7B 7A", "2A 10A 2B 14A 10B 6B 6A", "1A 9A 1B 13A 9B 5B 5A")
+FIRST_HALF = 29  # number of cobras on board A of a module; the other cobras are on board B
+HOLES = 651
+# Numbers of the holes of a slit without a fiber of a cobra: holes with engineering fibers, and empty holes. The slits
+# of the first two spectrographs have three more empty holes.
+ENGINEERING = (1, 45, 92, 137, 184, 229, 273, 316, 336, 382, 426, 471, 515, 560, 607, 651)
+EMPTY = (44, 91, 93, 136, 183, 185, 228, 272, *range(317, 336), 383, 427, 470, 472, 516, 559, 561, 608)
+EMPTY_IN_FIRST_TWO = (280, 309, 359)
+
+
+def nominal_centers() -> np.ndarray:
+    """Return the nominal centers of cobras 1 to 2394 on the Prime Focus Instrument (mm), shape (2394, 2)."""
+    cobra, module = np.arange(N_COBRAS), np.arange(N_MODULES)
+    step = PITCH * np.exp(1j * np.deg2rad(150))
+    row = -PITCH * np.sin(np.pi / 3) * (1 + cobra % 2) + 1j * PITCH / 2 * (1 - cobra)
+    field = (row + 2 * module[:, None] * step).ravel()
+    centers = np.concatenate([field * np.exp(-2j * np.pi / 3 * k) for k in range(N_FIELDS)])
+    return np.column_stack([centers.real, centers.imag])
+
+
+def cobra_ids(xy: np.ndarray) -> np.ndarray:
+    """Return the numbers of the cobras (1 to 2394) that have the nominal centers ``xy`` (mm)."""
+    apart, row = scipy.spatial.cKDTree(nominal_centers()).query(xy)
+    if len(xy) != N or apart.max() > 1e-6 or len(np.unique(row)) < N:
+        raise InputError(f"names = 'cobra' requires the {N} nominal centers of PFS, got other positions")
+    return row + 1
+
+
+def pfs_fibers() -> tuple[np.ndarray, np.ndarray]:
+    """Return the fiberId and the spectrograph (0 to 3) of cobras 1 to 2394."""
+    fiber, spectrograph = np.empty(N, dtype=np.int64), np.empty(N, dtype=np.int64)
+    for k, boards in enumerate(BOARDS):
+        taken = {*ENGINEERING, *EMPTY, *(EMPTY_IN_FIRST_TWO if k < 2 else ())}
+        holes = [hole for hole in range(1, HOLES + 1) if hole not in taken]
+        rows = [
+            field * N_MODULES * N_COBRAS + (int(board[:-1]) - 1) * N_COBRAS + cobra
+            for board in boards.split()
+            for field in range(N_FIELDS)
+            for cobra in (range(FIRST_HALF) if board[-1] == "A" else range(FIRST_HALF, N_COBRAS))
+        ]
+        fiber[rows], spectrograph[rows] = HOLES * k + np.array(holes), k
+    return fiber, spectrograph
+
+
+def pfs_engineering_fibers() -> np.ndarray:
+    """Return the fiberId of the engineering fibers, which belong to no cobra."""
+    return np.concatenate([HOLES * k + np.array(ENGINEERING) for k in range(len(BOARDS))])
+
 
 N_FIDUCIALS = 96
 # Largest distance (mm) of a dot from the nominal center of its cobra; adjacent centers are 8 mm apart.
@@ -45,7 +103,8 @@ def read_dots(path: Path) -> np.ndarray:
     table = _read(path, ("spotId", "x", "y", "r"))
     _check_ids(path, table["spotId"], "spotId", N)
     circles = np.column_stack([table[name] for name in ("x", "y", "r")])[np.argsort(table["spotId"])]
-    _check_finite(path, circles, "x, y and r")
+    for row in np.flatnonzero(~np.isfinite(circles).all(axis=1)):
+        raise InputError(f"{path}: x, y and r must be finite, got {circles[row].tolist()} in row {row + 1}")
     apart = np.hypot(*(circles[:, :2] - nominal_centers()).T)
     if apart.max() > FARTHEST_DOT:
         raise InputError(
@@ -64,8 +123,7 @@ def read_fiducials(path: Path) -> tuple[u.Quantity, str]:
     xy = np.column_stack([table["x_mm"], table["y_mm"]])
     missing = is_missing(xy, -FARTHEST_FIDUCIAL, FARTHEST_FIDUCIAL) | (xy == 0).all(axis=1)[:, None]
     seen = ~missing.all(axis=1)
-    if (missing.any(axis=1) & seen).any():
-        k = int(np.flatnonzero(missing.any(axis=1) & seen)[0])
+    for k in np.flatnonzero(missing.any(axis=1) & seen):
         raise InputError(
             f"{path}: x_mm and y_mm must both be positions within {FARTHEST_FIDUCIAL:g} mm, or both be missing, got "
             f"{xy[k].tolist()} in row {k + 1}"
@@ -90,9 +148,8 @@ def read_interference(path: Path) -> np.ndarray:
     limits = np.column_stack([table[name] for name in names])[np.argsort(table["cobra_id"])]
     limits[is_missing(limits, -np.inf, np.inf) & is_missing(limits, 0, 360, codes=False)] = np.nan
     given = np.isfinite(limits)
-    if (given.any(axis=1) != given.all(axis=1)).any():
-        row = int(np.flatnonzero(given.any(axis=1) != given.all(axis=1))[0]) + 1
-        raise InputError(f"{path}: a cobra must have all three limits or none, got only some for cobra {row}")
+    for row in np.flatnonzero(given.any(axis=1) != given.all(axis=1)):
+        raise InputError(f"{path}: a cobra must have all three limits or none, got only some for cobra {row + 1}")
     some = limits[given.all(axis=1)]
     if len(some) and (some.min() < 0 or some.max() > 360 or some[:, 2].max() < 2 * np.pi):
         raise InputError(
@@ -181,9 +238,7 @@ def to_paths(paths) -> list[Path]:
 def _read(path: Path, names: tuple[str, ...]) -> dict[str, np.ndarray]:
     """Return columns of a table as numbers, with NaN for missing values."""
     table, columns = read_table(path), {}
-    if len(table) == 0:
-        raise InputError(f"{path}: the table must have at least one row, got none")
-    check_columns(table.colnames, names, f"{path}: the table")
+    number_rows(table, names, path)
     for name in names:
         column = table[name]
         if np.asarray(column).dtype.kind not in "if":
@@ -199,14 +254,5 @@ def _check_ids(path, ids: np.ndarray, name: str, n: int) -> None:
     if len(ids) != n:
         raise InputError(f"{path}: the file must have {n} rows, one for each {name} from 1 to {n}, got {len(ids)}")
     check_unique(ids, f"{path}: {name}")
-    strange = ids[~np.isin(ids, np.arange(1, n + 1))]
-    if len(strange):
-        raise InputError(f"{path}: {name} must be 1 to {n}, got {strange[0]:g}")
-
-
-def _check_finite(path, values: np.ndarray, names: str) -> None:
-    bad = ~np.isfinite(values).all(axis=1)
-    if bad.any():
-        raise InputError(
-            f"{path}: {names} must be finite, got {values[bad][0].tolist()} in row {np.flatnonzero(bad)[0] + 1}"
-        )
+    for strange in ids[~np.isin(ids, np.arange(1, n + 1))]:
+        raise InputError(f"{path}: {name} must be 1 to {n}, got {strange:g}")

@@ -16,10 +16,10 @@ import numpy as np
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import is_present, read_table
-from rfpsurvey._units import check_columns, check_unique, to_plain
+from rfpsurvey._units import check_unique, to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, warn
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument._missing import impossible_entry, is_missing
+from rfpsurvey.instrument._desi_tables import ROW, entry, impossible_entry, is_missing, number_rows
 
 PRESETS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 TABLE = "positionerTable.csv"
@@ -83,13 +83,9 @@ class _Rows:
 
     def __init__(self, path: Path, names: tuple[str, ...]):
         self.path, self.table = path, read_table(path)
-        self.number = np.arange(1, len(self.table) + 1)
-        """Number of each row in the file, counted from 1."""
         self.impossible: dict[str, str] = {}
         """Values that are not missing in the file, but count as missing, and the hole of each value."""
-        check_columns(self.table.colnames, names, f"{path}: the table")
-        if len(self.table) == 0:
-            raise InputError(f"{path}: the table must have at least one row, got none")
+        number_rows(self.table, names, path)
 
     def __len__(self):
         return len(self.table)
@@ -118,12 +114,11 @@ class _Rows:
             raise InputError(f"{self.path}: column {name!r} must hold numbers, {error}") from None
         missing = is_missing(values, -most if low is None else low, most, codes=codes)
         wrong = missing if finite else np.isinf(values)
-        if wrong.any():
-            k = int(np.flatnonzero(wrong)[0])
+        for k in np.flatnonzero(wrong):
             raise InputError(
                 f"{self.path}: column {name!r} must hold finite numbers"
                 f"{f' from {-most:g} to {most:g}' if most < 1e6 else ''}, and no codes such as 99 or -999, got "
-                f"{str(texts[k])!r} in row {self.number[k]}"
+                f"{str(texts[k])!r} in row {self.table[ROW][k]}"
             )
         self.doubt(missing & ~np.isnan(values), name)
         return np.where(missing, np.nan, values)
@@ -131,7 +126,7 @@ class _Rows:
     def doubt(self, wrong: np.ndarray, name: str) -> None:
         """Record the values of a column that are impossible."""
         for k in np.flatnonzero(wrong):
-            text = f"{name} = {self.text(name)[k]} in row {self.number[k]}"
+            text = f"{name} = {self.text(name)[k]} in row {self.table[ROW][k]}"
             self.impossible[text] = str(self.table["holeID"][k])
 
     def note(self) -> list[str]:
@@ -160,7 +155,7 @@ class _Rows:
 
     def keep(self, rows: np.ndarray) -> None:
         """Keep the rows that an index or a mask selects."""
-        self.table, self.number = self.table[rows], self.number[rows]
+        self.table = self.table[rows]
 
     def order_as(self, ids: np.ndarray) -> None:
         """Sort the rows in the order of the holes in the preset; rows of other holes follow."""
@@ -207,11 +202,10 @@ def _bases(folder, site, robots, nominal, notes):
     places = dict(zip(nominal.id.tolist(), nominal.arrays.xy.tolist(), strict=True))
     apart = [np.hypot(*(place - places.get(hole, place))) for hole, place in zip(wok.text("holeID"), xy, strict=True)]
     far = np.array(apart) > FARTHEST
-    if far.any():
-        k = int(np.flatnonzero(far)[0])
+    for k in np.flatnonzero(far):
         raise InputError(
             f"{wok.path}: xWok and yWok must be within {FARTHEST:g} mm of the nominal position of the hole, got "
-            f"{xy[k].tolist()} for {wok.text('holeID')[k]} in row {wok.number[k]}"
+            f"{xy[k].tolist()} for {wok.text('holeID')[k]} in row {wok.table[ROW][k]}"
         )
     if not all(wok.has(name) for name in VECTORS):
         return xy, np.full(len(rows), -np.pi / 2)
@@ -346,7 +340,7 @@ def _maps(folder, site, nominal, notes):
         if not abs(edge - 1) < MAPS_DIFFER:
             raise InputError(
                 f"{rows.path}: R and c0 to c4 must give the nominal radius of the field within {MAPS_DIFFER:.0%}, got "
-                f"{edge:.3g} times this radius in row {rows.number[found[0]]}"
+                f"{edge:.3g} times this radius in row {rows.table[ROW][found[0]]}"
             )
     return maps
 
@@ -374,21 +368,17 @@ def _named(disabled, ids) -> np.ndarray:
 
 def _entries(plane, nominal, maps, folder) -> dict:
     """Return the values that were read, with their sources."""
-
-    def entry(value, status, source, unit=None):
-        unit = {} if unit is None else {"unit": unit}
-        return {"value": value, **unit, "status": status, "source": f"{folder.name}/{source}"}
-
+    where = f"{folder.name}/{TABLE}"
     arm = float(np.median(plane.arrays.central_arm))
     places = {name: np.nanmedian(xy.to_value(u.mm), axis=0).tolist() for name, xy in plane.fiber_xy.items()}
     jaeger = "https://github.com/sdss/jaeger src/jaeger/etc/jaeger_APO.yml"
     found = {
-        "positioner.central_arm": entry(arm, "derived", f"{TABLE}, median of alphaArmLen", "mm"),
-        "positioner.fiber_xy": entry(places, "derived", f"{TABLE}, medians of the positions of the fibers", "mm"),
-        "positioner.theta_range": {"value": [0.0, 360.0], "unit": "deg", "status": "published", "source": jaeger},
-        "positioner.phi_range": {"value": [0.0, 180.0], "unit": "deg", "status": "published", "source": jaeger},
-        "layout.robots": entry(len(plane), "published", f"{TABLE}; positions from wokCoords.csv"),
-        "layout.fiducials": entry(len(plane.arrays.obstacles), "published", "fiducialCoords.csv"),
+        "positioner.central_arm": entry(arm, f"{where}, median of alphaArmLen", "derived", "mm"),
+        "positioner.fiber_xy": entry(places, f"{where}, medians of the positions of the fibers", "derived", "mm"),
+        "positioner.theta_range": entry([0.0, 360.0], jaeger, unit="deg"),
+        "positioner.phi_range": entry([0.0, 180.0], jaeger, unit="deg"),
+        "layout.robots": entry(len(plane), f"{where}; positions from wokCoords.csv"),
+        "layout.fiducials": entry(len(plane.arrays.obstacles), f"{folder.name}/fiducialCoords.csv"),
         "layout.fiducial_radius": nominal.values["layout.fiducial_radius"],
     }
     if maps is not nominal.distortion:
@@ -396,5 +386,5 @@ def _entries(plane, nominal, maps, folder) -> dict:
             name: {"form": m.form, "radius": m.radius.to_value(u.mm), "coefficients": list(m.coefficients)}
             for name, m in maps.items()
         }
-        found["optics.radial_map"] = entry(value, "published", "focalPlaneModel.csv")
+        found["optics.radial_map"] = entry(value, f"{folder.name}/focalPlaneModel.csv")
     return found

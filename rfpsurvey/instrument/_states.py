@@ -21,7 +21,7 @@ from rfpsurvey._units import check_columns, to_labels, to_plain
 from rfpsurvey.errors import InputError, InputUnitsError, check_choice, close_to, listed, short, warn
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument._desi_state import moment_of
-from rfpsurvey.instrument._desi_tables import MOST_DEVICE, N_PETALS, ROW, numbers, whole
+from rfpsurvey.instrument._desi_tables import MOST_ANGLE, MOST_DEVICE, N_PETALS, ROW, numbers, whole
 
 if TYPE_CHECKING:
     from rfpsurvey.instrument._instrument import Instrument
@@ -38,7 +38,6 @@ PARTS = ("file", "time", *STATES, "unused_rows", "digest")
 COLUMNS = ("id", "state", "from", "to", "theta", "phi")
 DESI = ("LOCATION", "BROKEN", "STUCK")
 """Columns by which the table fiberstatus of DESI's fiberassign is recognized."""
-MOST_ANGLE = 400.0
 FIRST_JD, LAST_JD = 2.3e6, 2.6e6
 ALWAYS = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
 MOST_NAMES = 10
@@ -350,9 +349,8 @@ def _angles(table: Table, name: str, what: str) -> np.ndarray:
         found = (values.astype(float) * unit).to_value(u.deg)
     except ValueError:
         raise InputError(f"{what} must hold angles in degrees, got {short(values.tolist())}") from None
-    wrong = found[np.abs(found) > MOST_ANGLE]
-    if len(wrong):
-        raise InputError(f"{what} must hold angles from {-MOST_ANGLE:g} to {MOST_ANGLE:g} deg, got {wrong[0]:g}")
+    for wrong in found[np.abs(found) > MOST_ANGLE]:
+        raise InputError(f"{what} must hold angles from {-MOST_ANGLE:g} to {MOST_ANGLE:g} deg, got {wrong:g}")
     return found
 
 

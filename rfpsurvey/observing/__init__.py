@@ -1,8 +1,7 @@
 """Observing conditions: refraction, dispersion and field rotation in the projection of a field."""
 
 from rfpsurvey.observing._conditions import ObservingConditions, as_hour_angle, check_conditions
-from rfpsurvey.observing._field import ObservedField
-from rfpsurvey.observing._models import MODELS, displacements, field_of_model, model_of
+from rfpsurvey.observing._field import MODELS, ObservedField, displacements, field_of_model, model_of
 from rfpsurvey.observing._plane import ObservedPlane
 from rfpsurvey.observing._sites import SITES, location
 

@@ -28,12 +28,8 @@ class Instants:
     """
 
     def __init__(self, conditions: ObservingConditions, ra_rad: float, seconds: np.ndarray):
-        self.weather = (
-            conditions.pressure.to_value(u.hPa),
-            conditions.temperature.to_value(u.deg_C),
-            conditions.humidity,
-        )
-        site = conditions.site.to_geodetic()
+        pressure, temperature = conditions.pressure.to_value(u.hPa), conditions.temperature.to_value(u.deg_C)
+        self.weather, site = (pressure, temperature, conditions.humidity), conditions.site.to_geodetic()
         self.place = site.lon.to_value(u.rad), site.lat.to_value(u.rad), site.height.to_value(u.m)
         self.apparent = conditions.time is None
         if self.apparent:

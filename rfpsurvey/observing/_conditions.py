@@ -3,7 +3,6 @@
 import os
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
-from numbers import Number
 
 import astropy.units as u
 import numpy as np
@@ -12,22 +11,25 @@ from astropy.time import Time
 
 from rfpsurvey._io import to_path
 from rfpsurvey._readers import read_toml
-from rfpsurvey._units import ByValue, to_scalar
+from rfpsurvey._settings import Settings, option
+from rfpsurvey._units import value_of
 from rfpsurvey.catalog import to_moment
-from rfpsurvey.errors import (
-    INCONVERTIBLE,
-    InputError,
-    InputTypeError,
-    check_choice,
-    check_keywords,
-    listed,
-    refusal,
-    short,
-)
-from rfpsurvey.observing._sites import as_site, location
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, refusing, short
+from rfpsurvey.observing._sites import as_site, location, site_name
 
-LONGEST_DAYS = 0.5
+LONGEST_S = 43200
+WAVELENGTHS = {"above": 0.1, "below": 100}
+RECORDED = (
+    *("longitude_deg", "latitude_deg", "height_m", "guide_wavelength_um", "pressure_hpa", "temperature_c", "humidity"),
+    *("exposure_time_s", "hour_angle_deg", "tolerance_mm", "time", "wavelength_um"),
+)
+"""Names in records, in their order; a site has the first three."""
+EXACT = ("time", "wavelength_um")
+"""Names of values in records that are not rounded."""
+OPTIONAL = ("hour_angle_deg", "tolerance_mm", "time")
+"""Names of values that records can lack."""
 EXAMPLES = {
+    "humidity": "30 %",
     "hour_angle": "-1.5 hourangle",
     "pressure": "720 hPa",
     "temperature": "10 deg_C",
@@ -40,9 +42,30 @@ EXAMPLES = {
 RATE = 1.00273781191135448 * 2 * np.pi / 86400
 
 
+def as_hour_angle(value: u.Quantity) -> u.Quantity:
+    """Convert hours of time to an hour angle; return other values unchanged."""
+    if isinstance(value, u.Quantity) and value.unit.is_equivalent(u.hour):
+        return value.to_value(u.hour) * u.hourangle
+    return value
+
+
+def _in_known_scale(value: object) -> Time:
+    time = to_moment(value, "time")
+    if time.scale in ("ut1", "local"):
+        raise InputError(f"time must be in a scale such as UTC, got the scale {time.scale}; give UTC")
+    return time
+
+
+def _celsius(value: object) -> u.Quantity:
+    try:
+        return value.to(u.deg_C, u.temperature())
+    except (AttributeError, u.UnitConversionError):
+        raise InputTypeError(f"temperature must have a unit of temperature, got {short(value)}") from None
+
+
 @check_keywords
-@dataclass(frozen=True, eq=False)
-class ObservingConditions(ByValue):
+@dataclass(frozen=True, eq=False, repr=False)
+class ObservingConditions(Settings):
     """Place, time, weather and wavelengths of an observation, from which refraction is computed.
 
     Parameters
@@ -98,68 +121,34 @@ class ObservingConditions(ByValue):
     <Latitude 59.36 deg>
     """
 
-    site: EarthLocation | str
-    time: Time | None = None
-    hour_angle: u.Quantity[u.hourangle] | None = None
-    wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] = 0.54 * u.um
-    guide_wavelength: u.Quantity[u.um] | None = None
-    pressure: u.Quantity[u.hPa] | None = None
-    temperature: u.Quantity[u.deg_C] = 10 * u.deg_C
-    humidity: float = 0.2
-    exposure_time: u.Quantity[u.s] = 0 * u.s
-    tolerance: u.Quantity[u.mm] | None = None
+    site: EarthLocation | str = option(convert=as_site, record=None)
+    time: Time | None = option(None, convert=_in_known_scale, to_record=lambda time: time.utc.isot, sparse=True)
+    hour_angle: u.Quantity[u.hourangle] | None = option(
+        None, convert=as_hour_angle, above=-24, below=24, record="hour_angle_deg", unit=u.deg, sparse=True
+    )
+    wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] = option(0.54 * u.um, **WAVELENGTHS)
+    guide_wavelength: u.Quantity[u.um] | None = option(None, **WAVELENGTHS)
+    pressure: u.Quantity[u.hPa] | None = option(None, low=0, below=1200)
+    temperature: u.Quantity[u.deg_C] = option(
+        10 * u.deg_C, convert=_celsius, above=-150, below=200, record="temperature_c"
+    )
+    humidity: float = option(0.2, low=0, high=1)
+    exposure_time: u.Quantity[u.s] = option(0 * u.s, low=0, below=LONGEST_S)
+    tolerance: u.Quantity[u.mm] | None = option(None, above=0, sparse=True)
 
-    def __post_init__(self):
-        name = self.site if isinstance(self.site, str) else ""
-        object.__setattr__(self, "site", as_site(self.site))
-        object.__setattr__(self, "_name", name)
+    def _check(self):
         if (self.time is None) == (self.hour_angle is None):
             both = "none of them" if self.time is None else "both"
             raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
-        if self.time is not None:
-            object.__setattr__(self, "time", to_moment(self.time, "time"))
-        if self.time is not None and self.time.scale in ("ut1", "local"):
-            raise InputError(f"time must be in a scale such as UTC, got the scale {self.time.scale}; give UTC")
-        if self.hour_angle is not None:
-            angle = as_hour_angle(self.hour_angle)
-            to_scalar(angle, u.deg, "hour_angle", low=-360, high=360)
-            object.__setattr__(self, "hour_angle", angle)
         waves = self.wavelength
-        if isinstance(waves, dict):
-            if not waves or not all(isinstance(name, str) for name in waves):
-                raise InputError(f"wavelength must have one value, or one for each fiber type, got {short(waves)}")
-            for name, wave in waves.items():
-                _check_wavelength(wave, f"wavelength of {name}")
-        else:
-            _check_wavelength(waves, "wavelength")
+        if isinstance(waves, dict) and not (waves and all(isinstance(name, str) for name in waves)):
+            raise InputError(f"wavelength must have one value, or one for each fiber type, got {short(waves)}")
         if self.guide_wavelength is None:
-            object.__setattr__(
-                self, "guide_wavelength", next(iter(waves.values())) if isinstance(waves, dict) else waves
-            )
-        _check_wavelength(self.guide_wavelength, "guide_wavelength")
+            first = next(iter(waves.values())) if isinstance(waves, dict) else waves
+            object.__setattr__(self, "guide_wavelength", first)
         if self.pressure is None:
             height = np.clip(self.site.height.to_value(u.m), -500, 9000)
             object.__setattr__(self, "pressure", 1013.25 * (1 - 2.25577e-5 * height) ** 5.25588 * u.hPa)
-        to_scalar(self.pressure, u.hPa, "pressure", low=0, high=1200, closed=True)
-        try:
-            celsius = self.temperature.to(u.deg_C, u.temperature())
-        except (AttributeError, u.UnitConversionError):
-            raise InputTypeError(
-                f"temperature must have a unit of temperature, got {short(self.temperature)}"
-            ) from None
-        to_scalar(celsius, u.deg_C, "temperature", low=-150, high=200)
-        object.__setattr__(self, "temperature", celsius)
-        if np.any(getattr(self.humidity, "mask", False)):
-            raise InputError("humidity must have a value, got a masked value; leave it out to use the default value")
-        try:
-            humidity = u.Quantity(self.humidity)
-        except INCONVERTIBLE:
-            raise refusal("humidity must be a number from 0 to 1", self.humidity, Number, list) from None
-        to_scalar(humidity, u.dimensionless_unscaled, "humidity", low=0, high=1 + 1e-12, closed=True)
-        object.__setattr__(self, "humidity", float(humidity))
-        to_scalar(self.exposure_time, u.day, "exposure_time", low=0, high=LONGEST_DAYS, closed=True)
-        if self.tolerance is not None:
-            to_scalar(self.tolerance, u.mm, "tolerance", low=0)
 
     @classmethod
     def read(cls, path: str | os.PathLike, **changes: object) -> "ObservingConditions":
@@ -198,12 +187,12 @@ class ObservingConditions(ByValue):
     @property
     def at_guide_wavelength(self) -> "ObservingConditions":
         """The conditions with the guide wavelength for all fibers, so that there is no dispersion."""
-        return replace(self, site=self._name or self.site, wavelength=self.guide_wavelength)
+        return replace(self, wavelength=self.guide_wavelength)
 
     @property
     def without_exposure(self) -> "ObservingConditions":
         """The conditions at the midpoint of the exposure, with the exposure time 0."""
-        return replace(self, site=self._name or self.site, exposure_time=0 * u.s)
+        return replace(self, exposure_time=0 * u.s)
 
     def shifted(self, time: u.Quantity) -> "ObservingConditions":
         """Return the conditions at a later time.
@@ -219,9 +208,9 @@ class ObservingConditions(ByValue):
             The conditions with the later time or hour angle.
         """
         if self.time is not None:
-            return replace(self, site=self._name or self.site, time=self.time + time)
+            return replace(self, time=self.time + time)
         angle = self.hour_angle + time.to_value(u.s) * RATE * u.rad
-        return replace(self, site=self._name or self.site, hour_angle=angle)
+        return replace(self, hour_angle=angle)
 
     def at_hour_angle(self, hour_angle: u.Quantity) -> "ObservingConditions":
         """Return the conditions at another hour angle.
@@ -236,7 +225,7 @@ class ObservingConditions(ByValue):
         ObservingConditions
             The conditions at this hour angle.
         """
-        return replace(self, site=self._name or self.site, time=None, hour_angle=hour_angle)
+        return replace(self, time=None, hour_angle=hour_angle)
 
     @cached_property
     def wavelengths_um(self) -> dict[str, float] | float:
@@ -266,31 +255,25 @@ class ObservingConditions(ByValue):
             "longitude_deg": self.site.lon.to_value(u.deg),
             "latitude_deg": self.site.lat.to_value(u.deg),
             "height_m": self.site.height.to_value(u.m),
-            "guide_wavelength_um": self.guide_wavelength.to_value(u.um),
-            "pressure_hpa": self.pressure.to_value(u.hPa),
-            "temperature_c": self.temperature.to_value(u.deg_C),
-            "humidity": self.humidity,
-            "exposure_time_s": self.exposure_time.to_value(u.s),
+            **super().record,
         }
-        if self.time is None:
-            numbers["hour_angle_deg"] = self.hour_angle.to_value(u.deg)
-        when = {} if self.time is None else {"time": self.time.utc.isot}
-        if self.tolerance is not None:
-            numbers["tolerance_mm"] = self.tolerance.to_value(u.mm)
-        return {
-            **{name: round(float(value), 9) for name, value in numbers.items()},
-            **when,
-            "wavelength_um": self.wavelengths_um,
-        }
+        found = {name: numbers[name] for name in RECORDED if name in numbers}
+        return {name: value if name in EXACT else round(float(value), 9) for name, value in found.items()}
+
+    def _values(self):
+        record = self.record  # the location of a site is equal to that of its record only if it is rounded
+        return value_of(record | {name: round(record[name], 6) for name in RECORDED[:3]})
 
     @classmethod
-    def from_record(cls, record: dict) -> "ObservingConditions":
-        """Make conditions from the attribute ``record`` of earlier conditions.
+    def from_record(cls, record: dict, **others: object) -> "ObservingConditions":
+        """Return the conditions whose attribute ``record`` is given.
 
         Parameters
         ----------
         record : dict
-            A dict with the entries of the attribute ``record``.
+            Attribute ``record`` of conditions.
+        **others : object
+            Values of parameters, in place of those of the record.
 
         Returns
         -------
@@ -303,29 +286,15 @@ class ObservingConditions(ByValue):
             If a value is missing or not valid.
         """
         try:
-            waves = record["wavelength_um"]
-            given = {
-                "site": location([record[name] for name in ("longitude_deg", "latitude_deg", "height_m")]),
-                "wavelength": {k: v * u.um for k, v in waves.items()} if isinstance(waves, dict) else waves * u.um,
-                "guide_wavelength": record["guide_wavelength_um"] * u.um,
-                "pressure": record["pressure_hpa"] * u.hPa,
-                "temperature": record["temperature_c"] * u.deg_C,
-                "humidity": record["humidity"],
-                "exposure_time": record["exposure_time_s"] * u.s,
-            }
-            if "time" in record:
-                given["time"] = record["time"]
-            if "hour_angle_deg" in record:
-                given["hour_angle"] = record["hour_angle_deg"] * u.deg
-            if "tolerance_mm" in record:
-                given["tolerance"] = record["tolerance_mm"] * u.mm
-        except (KeyError, TypeError, ValueError, AttributeError) as error:
+            site = location([record[name] for name in RECORDED[:3]])
+            _ = [record[name] for name in RECORDED if name not in OPTIONAL]
+        except (KeyError, TypeError) as error:
             raise InputError(f"record must describe observing conditions, got {short(record)}: {error}") from None
-        return cls(**given)
+        return super().from_record(record, **{"site": site, **others})
 
     def __repr__(self):
         when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
-        site = self._name or f"{self.site.lon.deg:.3f}, {self.site.lat.deg:.3f} deg"
+        site = site_name(self.site) or f"{self.site.lon.deg:.3f}, {self.site.lat.deg:.3f} deg"
         return f"<ObservingConditions at {site}, {when}, {self.pressure.to(u.hPa):.4g}>"
 
 
@@ -336,27 +305,14 @@ def check_conditions(conditions: object, *, optional: bool = False) -> None:
         raise InputTypeError(f"conditions must be ObservingConditions{words}, got {short(conditions)}")
 
 
-def as_hour_angle(value: u.Quantity) -> u.Quantity:
-    """Convert hours of time to an hour angle; return other values unchanged."""
-    if isinstance(value, u.Quantity) and value.unit.is_equivalent(u.hour):
-        return value.to_value(u.hour) * u.hourangle
-    return value
-
-
 def _from_text(name: str, value: object, path: object) -> object:
     """Return the value of a parameter from a TOML file."""
     check_choice(name, [one.name for one in fields(ObservingConditions)], f"key of {path}")
     if name == "site" and isinstance(value, list):
         return location(value, f"{path}: site")
-    if name in ("site", "humidity", "time"):
+    if name in ("site", "time") or (name == "humidity" and not isinstance(value, str)):
         return value
-    try:
+    with refusing(f"{path}: {name} must be text such as {EXAMPLES[name]!r}", value, object):
         if isinstance(value, dict):
             return {kind: u.Quantity(text) for kind, text in value.items()}
         return u.Quantity(value)
-    except INCONVERTIBLE:
-        raise InputError(f"{path}: {name} must be text such as {EXAMPLES[name]!r}, got {short(value)}") from None
-
-
-def _check_wavelength(value, name: str) -> None:
-    to_scalar(value, u.um, name, low=0.1, high=100)

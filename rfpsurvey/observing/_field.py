@@ -1,15 +1,16 @@
-"""The projection of one field for given observing conditions; its methods use arrays without units."""
+"""The projection of one field for given observing conditions, with arrays without units, and its simpler models."""
 
+from collections.abc import Sequence
 from copy import copy
 from functools import cache
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError, check_choice, listed
 from rfpsurvey.observing._astrometry import Instants
 from rfpsurvey.observing._conditions import ObservingConditions
-from rfpsurvey.projection import FieldProjection, RadialMap
+from rfpsurvey.projection import FieldProjection, RadialMap, groups_of_types
 
 # STEP: half the distance (rad) between the points whose images define the orientation of the field.
 # MOST_STEPS: largest number of iterations of the inverse projection.
@@ -139,13 +140,7 @@ class ObservedField:
         if not isinstance(waves, dict):
             return [(slice(None), waves)]
         first = next(iter(self.distortion)) if isinstance(self.distortion, dict) else next(iter(waves))
-        if fiber_type is None or isinstance(fiber_type, str):
-            return [(slice(None), _wavelength_of(fiber_type or first, waves))]
-        types = np.asarray(fiber_type, dtype=str)
-        if types.shape != (n,):
-            raise InputError(f"fiber_type must have the shape ({n},), got {types.shape}")
-        types = np.where(types == "", first, types)
-        return [(types == name, _wavelength_of(str(name), waves)) for name in np.unique(types)]
+        return [(rows, _wavelength_of(name, waves)) for rows, name in groups_of_types(fiber_type, first, n)]
 
     def _observe(self, vectors, fiber_type, weights=None):
         """Return observed directions, averaged over the exposure, in the frame of the field, shape (n, 3)."""
@@ -232,3 +227,68 @@ def _moments(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     for row, (points, values) in zip(weights, rules, strict=True):
         row[np.searchsorted(moments, points)] = values / 2
     return moments, *weights
+
+
+MODELS = {
+    "tangent": "tangent plane with one plate scale",
+    "radial": "radial map of the instrument",
+    "refraction": "refraction at the midpoint of the exposure, at the guide wavelength",
+    "dispersion": "refraction at the midpoint of the exposure, at the wavelength of each fiber type",
+    "full": "refraction averaged over the exposure, at the wavelength of each fiber type",
+}
+STATIC = ("tangent", "radial")
+
+
+def model_of(model: str | None, conditions: ObservingConditions | None) -> str:
+    """Return the name of a model; the default is ``full`` if there are conditions, and ``radial`` otherwise."""
+    if model is None:
+        return "radial" if conditions is None else "full"
+    check_choice(model, MODELS, "projection")
+    if conditions is None and model not in STATIC:
+        raise InputError(f"the projection {model!r} must have conditions, got none; give the argument conditions")
+    return model
+
+
+def field_of_model(
+    model: str, basis: np.ndarray, focal_length: float, distortion: object, conditions=None, radius: float = 0.0
+) -> FieldProjection | ObservedField:
+    """Return the projection of a field by a model; the parameters after ``model`` are those of `ObservedField`."""
+    if model in STATIC:
+        return FieldProjection(basis, focal_length, None if model == "tangent" else distortion)
+    if model != "full":
+        conditions = conditions.without_exposure
+    if model == "refraction":
+        conditions = conditions.at_guide_wavelength
+    return ObservedField(basis, focal_length, distortion, conditions, radius)
+
+
+def displacements(
+    points: np.ndarray, fiber_types: Sequence[str | None], *field: object
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Compare the images of targets in each model with their images in the model ``full``.
+
+    Parameters
+    ----------
+    points : ndarray, shape (m, n, 2)
+        Positions of the images in the model ``full``, in mm, for each fiber type.
+    fiber_types : sequence of str or None
+        The m fiber types of the targets.
+    *field : object
+        All arguments of `field_of_model` except the name of the model.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (m, n)
+        For each model, the distances (mm) from the images in the model ``full``.
+    ndarray, shape (m, n)
+        The largest distance (mm) between the image and its mean position during the exposure.
+    """
+    fields = {name: field_of_model(name, *field) for name in MODELS}
+    full = fields.pop("full")
+    targets = [(full.unproject(own, kind), own, kind) for own, kind in zip(points, fiber_types, strict=True)]
+    moved = {
+        name: np.array([np.hypot(*(one.project(vectors, kind) - own).T) for vectors, own, kind in targets])
+        for name, one in fields.items()
+    }
+    moved["full"] = np.zeros(points.shape[:2])
+    return moved, np.array([full.drift(vectors, kind) for vectors, _, kind in targets])

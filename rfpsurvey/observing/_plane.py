@@ -67,11 +67,7 @@ class ObservedPlane(TangentPlane):
         """The projection for arrays without units (``ObservedField``)."""
         static = TangentPlane.plain.func(self)
         return ObservedField(
-            static.basis,
-            static.focal_length,
-            self.distortion,
-            self.conditions,
-            self.field_radius.to_value(u.rad),
+            static.basis, static.focal_length, self.distortion, self.conditions, self.field_radius.to_value(u.rad)
         )
 
     @property

@@ -1,10 +1,12 @@
 """Geodetic coordinates of a few sites, which are available without network access."""
 
+from collections.abc import Sequence
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import EarthLocation
 
-from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_choice, short
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, refusing, short
 
 HIGHEST = 1e5  # m
 # Longitude (deg, east), latitude (deg), height (m). The values are taken from astropy's table of sites, which names as
@@ -20,24 +22,19 @@ SITES = {
 }
 
 
-def location(values: list, what: str = "site") -> EarthLocation:
+def location(values: Sequence, what: str = "site") -> EarthLocation:
     """Return the location for longitude and latitude (deg) and height (m)."""
-    try:
+    with refusing(f"{what} must be longitude, latitude (deg) and height (m, at most {HIGHEST:g})", values, object):
         lon, lat, height = map(float, values)
         if not (abs(lon) <= 360 and abs(lat) <= 90 and abs(height) <= HIGHEST):
             raise ValueError
         return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
-    except INCONVERTIBLE:
-        raise InputError(
-            f"{what} must be longitude, latitude (deg) and height (m, at most {HIGHEST:g}), got {short(values)}"
-        ) from None
 
 
 def as_site(site: object) -> EarthLocation:
     """Return the location of a site, which is given as a location or as a name in `SITES` (in upper or lower case)."""
     if isinstance(site, str):
-        lon, lat, height = SITES[check_choice(site.strip().lower(), SITES, "site")]
-        return EarthLocation.from_geodetic(lon * u.deg, lat * u.deg, height * u.m)
+        return location(SITES[check_choice(site.strip().lower(), SITES, "site")])
     if not isinstance(site, EarthLocation) or not site.isscalar:
         raise InputTypeError(f"site must be one EarthLocation or the name of a site, got {short(site)}")
     if not np.isfinite(site.x) or abs(site.height.to_value(u.m)) > HIGHEST:
@@ -45,3 +42,8 @@ def as_site(site: object) -> EarthLocation:
             f"site must have finite coordinates and a height from {-HIGHEST:g} to {HIGHEST:g} m, got {short(site)}"
         )
     return site
+
+
+def site_name(site: EarthLocation) -> str:
+    """Return the name of the site in `SITES` at a location, or empty text."""
+    return next((name for name in SITES if as_site(name) == site), "")

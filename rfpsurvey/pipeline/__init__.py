@@ -5,9 +5,9 @@ and `plan_survey` and `place_tiles` call it for each tile. The calculation of co
 steps of the pipeline.
 """
 
-from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import Applied, apply_constraints, early_violations
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints, early_violations, project_field
 from rfpsurvey.pipeline._field import (
+    BlankIds,
     FieldPlan,
     FieldReach,
     FieldTargets,
@@ -17,7 +17,6 @@ from rfpsurvey.pipeline._field import (
     plan_field,
 )
 from rfpsurvey.pipeline._outcomes import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
-from rfpsurvey.pipeline._project import project_field
 from rfpsurvey.pipeline._targets import (
     PLANNED_COLUMNS,
     CatalogTargets,
@@ -26,29 +25,3 @@ from rfpsurvey.pipeline._targets import (
     SelectedRows,
     separation_rad,
 )
-
-__all__ = [
-    "OUTCOMES",
-    "PLANNED_COLUMNS",
-    "Applied",
-    "BlankIds",
-    "CatalogTargets",
-    "FieldBuilder",
-    "FieldPlan",
-    "FieldReach",
-    "FieldRows",
-    "FieldTargets",
-    "Outcome",
-    "SelectedRows",
-    "apply_constraints",
-    "category_classes",
-    "early_violations",
-    "field_radius_rad",
-    "find_all_collisions",
-    "find_reach",
-    "outcome_codes",
-    "plan_field",
-    "priority_classes",
-    "project_field",
-    "separation_rad",
-]

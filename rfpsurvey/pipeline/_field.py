@@ -1,7 +1,8 @@
 """Plan a field: project unit vectors of targets, assign the targets to fibers, and find the colliding arms."""
 
-from collections.abc import Callable
-from dataclasses import replace
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from functools import cached_property
 from time import perf_counter
 from typing import NamedTuple
 
@@ -20,16 +21,71 @@ from rfpsurvey.allocation import (
 )
 from rfpsurvey.collision import Arms, CollisionReport, collisions_of, find_motion
 from rfpsurvey.constraints import Verdict
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservedField
-from rfpsurvey.pipeline._blank_sky import BlankIds
-from rfpsurvey.pipeline._constraints import Applied, apply_constraints
-from rfpsurvey.pipeline._project import project_field
+from rfpsurvey.pipeline._constraints import Applied, apply_constraints, project_field
 from rfpsurvey.projection import FieldProjection
 
+PREFIX = "blank-sky-"
+# DIGITS is the largest number of digits after the prefix of identifiers that are text. ROOM is the number of integers
+# that are reserved for blank sky positions if identifiers are integers.
+DIGITS, ROOM = 6, 1_000_000
 # Number of points on a ring near the edge of a field, and the radius of the ring as a fraction of the field radius.
 N_RING, RING = 72, 0.98
+
+
+class BlankIds(NamedTuple):
+    """Identifiers for blank sky positions; no target of the catalog has one of these identifiers."""
+
+    first: int | str
+    """The first identifier, if the identifiers are integers; each further identifier is smaller by 1.
+
+    If the identifiers are text, this is the text before the number in each identifier.
+    """
+    dtype: np.dtype
+    """Type of a column that contains the identifiers of targets and of blank positions."""
+
+    def take(self, n: int) -> np.ndarray:
+        """Return the first n identifiers."""
+        if isinstance(self.first, str):
+            return np.array([f"{self.first}{k}" for k in range(n)], dtype=self.dtype)
+        return self.first - np.arange(n)
+
+
+def blank_ids(parts: Iterable[np.ndarray]) -> BlankIds:
+    """Return identifiers for blank sky that differ from all identifiers of a catalog.
+
+    The catalog may consist of several parts; ``parts`` contains an array with the identifiers of each part.
+
+    If the identifiers of the catalog are integers, the identifiers of blank sky are less than -1 and less than all
+    identifiers of the catalog. If there are too few such integers, the identifiers of blank sky are greater than all
+    identifiers of the catalog.
+
+    If the identifiers of the catalog are text, the identifiers of blank sky begin with ``blank-sky-``. If identifiers
+    of the catalog begin in this way, with or without underscores before ``blank-sky-``, the identifiers of blank sky
+    begin with one underscore more than any of these identifiers.
+    """
+    lowest, highest, most, dtype = -1, -1, -1, None
+    for ids in parts:
+        dtype = ids.dtype if dtype is None else np.result_type(dtype, ids.dtype)
+        if ids.dtype.kind == "i":
+            lowest, highest = min(lowest, int(ids.min(initial=0))), max(highest, int(ids.max(initial=0)))
+        else:
+            plain = np.char.lstrip(ids, "_")
+            alike = np.flatnonzero(np.char.startswith(plain, PREFIX))
+            most = max(most, int((np.char.str_len(ids) - np.char.str_len(plain))[alike].max(initial=-1)))
+    if dtype.kind == "i":
+        if lowest - ROOM >= np.iinfo(np.int64).min:
+            return BlankIds(lowest - 1, dtype)
+        if highest + ROOM > np.iinfo(np.int64).max:
+            raise InputError(
+                f"ids must leave unused integers for blank sky positions, got ids from {lowest} to {highest}"
+            )
+        return BlankIds(highest + ROOM, dtype)
+    prefix = "_" * (most + 1) + PREFIX
+    return BlankIds(prefix, np.result_type(dtype, np.dtype(f"U{len(prefix) + DIGITS}")))
 
 
 class FieldTargets(NamedTuple):
@@ -50,23 +106,29 @@ class FieldTargets(NamedTuple):
     """Other targets in and around the field, which cannot be observed; None if no constraint uses the targets."""
 
 
-class FieldReach(NamedTuple):
-    """The pairs of positioners and targets in reach, with the positions of the targets on the focal plane."""
+@dataclass(frozen=True, eq=False)
+class FieldReach:
+    """A field to which the constraints have been applied, its targets on the focal plane, and the pairs in reach."""
 
-    instrument: Instrument
-    """The instrument, whose obstacles include those of the constraints."""
+    applied: Applied
+    """The applied constraints."""
     xy: np.ndarray
     """Positions of the targets in mm, shape (n, 2)."""
     fiber_type: np.ndarray | None
     """Fiber type that each target requires; None if all fibers can observe all targets."""
-    pairs: Reach
-    excluded: np.ndarray | None = None
-    """Whether each target must not be observed; None if all targets may be observed."""
+    seconds: float
+    """Computing time of the projection."""
+
+    @cached_property
+    def pairs(self) -> Reach:
+        """The pairs of a positioner and a target in its reach."""
+        return self.applied.instrument.focal_plane.arrays.reach(self.xy, self.fiber_type)
 
     @property
     def allowed(self) -> Reach:
         """The pairs of the targets that may be observed."""
-        return self.pairs if self.excluded is None else self.pairs.where(~self.excluded[self.pairs.target])
+        excluded = self.applied.excluded
+        return self.pairs if excluded is None else self.pairs.where(~excluded[self.pairs.target])
 
 
 class FieldPlan(NamedTuple):
@@ -126,34 +188,28 @@ def field_radius_rad(instrument: Instrument, projection: FieldProjection | Obser
 def find_reach(
     instrument: Instrument, projection: FieldProjection, targets: FieldTargets, options: AllocationOptions
 ) -> FieldReach:
-    """Return the pairs of a positioner and a target of a field in its reach; the parameters are as in `plan_field`."""
-    applied = apply_constraints(instrument, projection, options, targets)
-    instrument = applied.instrument
-    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    pairs = instrument.focal_plane.arrays.reach(xy, fiber_type)
-    return FieldReach(instrument, xy, fiber_type, pairs, applied.excluded)
+    """Apply constraints to a field, and project its targets; the parameters are as in `plan_field`."""
+    applied, begin = apply_constraints(instrument, projection, options, targets), perf_counter()
+    xy, fiber_type = project_field(applied.instrument, projection, targets.vectors, targets.columns.fiber_type)
+    return FieldReach(applied, xy, fiber_type, perf_counter() - begin)
 
 
-def _assign(applied: Applied, projection, targets, options, rng, tell=None) -> Allocation:
-    """Assign the targets of a field, to which the constraints have been applied."""
-    instrument = applied.instrument
-    begin = perf_counter()
-    xy, fiber_type = project_field(instrument, projection, targets.vectors, targets.columns.fiber_type)
-    others = {} if targets.others is None else {"avoid": projection.project(targets.others)}
-    seconds = perf_counter() - begin
-    columns = targets.columns._replace(fiber_type=fiber_type)
+def _assign(reach: FieldReach, projection, targets, options, rng, tell) -> Allocation:
+    """Assign the targets of a field to which the constraints have been applied."""
+    applied, others = reach.applied, {}
+    if targets.others is not None:
+        others["avoid"] = projection.project(targets.others)
+    columns = targets.columns._replace(fiber_type=reach.fiber_type)
     values = columns.subpriority
     if options.subpriority is not None:
         values = to_subpriorities(options.subpriority, targets.id, targets.extra)
     if values is not None:
         columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
     elif options.breaks_ties:
-        others["order"] = tie_order(xy, None if targets.numbered else targets.id)
+        others["order"] = tie_order(reach.xy, None if targets.numbered else targets.id)
     others |= {"excluded": applied.excluded, "excludes_sky": applied.excludes_sky}
     others["ids"] = None if targets.numbered else targets.id
-    allocation = assign(instrument.focal_plane, xy, columns, options, rng, tell=tell, **others)
-    allocation.seconds["projection"] = seconds
-    return allocation
+    return assign(applied.instrument.focal_plane, reach.xy, columns, options, rng, tell=tell, **others)
 
 
 def find_all_collisions(plane: FocalPlane, arms: Arms, options: AllocationOptions) -> CollisionReport:
@@ -197,14 +253,20 @@ def plan_field(
     FieldPlan
         The plan.
     """
-    applied = apply_constraints(instrument, projection, options, targets)
-    instrument, targets = applied.instrument, targets._replace(columns=targets.columns._replace(kind=applied.kind))
-    allocation = _assign(applied, projection, targets, options, rng, tell)
+    reach = find_reach(instrument, projection, targets, options)
+    applied, instrument = reach.applied, reach.applied.instrument
+    targets = targets._replace(columns=targets.columns._replace(kind=applied.kind))
+    allocation = _assign(reach, projection, targets, options, rng, tell)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
     report = find_all_collisions(instrument.focal_plane, arms, options)
-    seconds = {**allocation.seconds, "arms": middle - begin, "collisions": perf_counter() - middle}
+    seconds = {
+        "projection": reach.seconds,
+        **allocation.seconds,
+        "arms": middle - begin,
+        "collisions": perf_counter() - middle,
+    }
     positioner = np.flatnonzero(allocation.target_of_positioner >= 0)
     target = allocation.target_of_positioner[positioner]
     given = target < allocation.n_given

@@ -16,8 +16,7 @@ from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Catalog, SkyIndex, move_vectors
 from rfpsurvey.constraints import Rule, check_unit, mark_required
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline._blank_sky import BlankIds, blank_ids
-from rfpsurvey.pipeline._field import FieldTargets
+from rfpsurvey.pipeline._field import BlankIds, FieldTargets, blank_ids
 
 SCALE_VARIES = 1.5
 """Factor by which the plate scale at the center of a field can exceed that at its edge."""

@@ -2,6 +2,7 @@
 
 from rfpsurvey.plans._plan import (
     as_plan,
+    format_of,
     further_columns,
     is_plan,
     native_format,
@@ -11,13 +12,4 @@ from rfpsurvey.plans._plan import (
     write_plan,
 )
 
-__all__ = [
-    "as_plan",
-    "further_columns",
-    "is_plan",
-    "native_format",
-    "plan_roles",
-    "read_plan",
-    "recognize_plan",
-    "write_plan",
-]
+__all__ = ["as_plan", "is_plan", "read_plan", "recognize_plan", "write_plan"]

@@ -13,16 +13,26 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
-from rfpsurvey._io import suffix_of, writing_to
-from rfpsurvey._readers import content_of, head_of, is_number, sentence
+from rfpsurvey._io import writing_to
+from rfpsurvey._readers import content_of, head_of, is_number, sentence, suffix_of
 from rfpsurvey._roles import last_role
-from rfpsurvey._units import check_columns
+from rfpsurvey._units import check_columns, to_plain
 from rfpsurvey.catalog import to_time
-from rfpsurvey.errors import InputError
-from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
-from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
+from rfpsurvey.errors import InputError, number_of
+from rfpsurvey.plans._values import (
+    check_instrument,
+    from_keywords,
+    make_plan,
+    own_name,
+    texts_of_lost,
+    to_keywords,
+    to_type,
+    without_keywords,
+)
 
-ENDINGS = (".par",)
+FORMAT, ENDINGS = "confsummary", (".par",)
+# SDSS-V, which measures position angles from the north of date; `epoch` is the time of the observation
+NORTH_OF_DATE, EPOCH_OF_OBSERVATION = "SDSS-V", True
 INSTRUMENTS = {"APO": "sdss_apo", "LCO": "sdss_lco"}
 MISSING = -999
 FIBERS = ("BOSS", "APOGEE", "METROLOGY", "NONE")
@@ -109,7 +119,7 @@ def read(path: Path) -> QTable:
     return make_plan(
         columns,
         rows,
-        format="confsummary",
+        format=FORMAT,
         instrument=INSTRUMENTS[site],
         header=header,
         racen=_number(header, "raCen", path),
@@ -137,7 +147,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
-    found = texts_of_lost(plan, [name for name in plan.colnames if name not in names], "confsummary")
+    found = texts_of_lost(plan, names, FORMAT)
     return found + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
 
 
@@ -146,6 +156,15 @@ def magnitudes(plan: QTable) -> dict[str, np.ndarray]:
     mag = np.asarray(plan["mag"]) if "mag" in plan.colnames else np.empty((len(plan), 0))
     own = {name: mag[:, at] for name, at in BANDS.items() if isinstance(at, int) and at < mag.shape[-1]}
     return own | {name: np.asarray(plan[at]) for name, at in BANDS.items() if at in plan.colnames}
+
+
+def neglected(plan: QTable, sky: bool) -> list[str]:
+    """Return a text if a score of the sky positions of assigned rows neglects offsets of the targets."""
+    if not sky or not {"delta_ra", "delta_dec"} <= {*plan.colnames}:
+        return []
+    offsets = np.array([to_plain(plan[name]) for name in ("delta_ra", "delta_dec")])
+    n = int((~np.isin(offsets, (0, MISSING)) & np.isfinite(offsets)).any(axis=0).sum())
+    return [f"the offsets delta_ra and delta_dec of {number_of(n, 'target')} are neglected"] if n else []
 
 
 def to_wok(x, y, position_angle: float) -> tuple:
@@ -274,11 +293,7 @@ def _struct(plan: QTable) -> dict[str, str]:
 
 def _native_rows(plan: QTable, path: Path) -> np.ndarray:
     """Return the rows of the file as a structured array."""
-    if plan.meta["instrument"] not in INSTRUMENTS.values():
-        raise InputError(
-            f"{path}: the instrument of a confSummary file must be {' or '.join(INSTRUMENTS.values())}, "
-            f"got {plan.meta['instrument']}"
-        )
+    check_instrument(plan, path, "a confSummary file", *INSTRUMENTS.values())
     struct, n, fields = _struct(plan), len(plan), []
     check_columns(struct, REQUIRED, f"{path}: the table FIBERMAP")
     given = _given(plan, struct)
@@ -351,7 +366,7 @@ def _check_text(values: np.ndarray, name: str, path: Path) -> None:
 def _native_header(plan: QTable, path: Path) -> dict[str, str]:
     """Return the header of a confSummary file; a plan that was read from such a file keeps the header of that file."""
     meta = plan.meta
-    if meta["format"] == "confsummary":
+    if meta["format"] == FORMAT:
         header = dict(meta["header"])
     else:
         epoch = meta.get("epoch")

@@ -13,58 +13,53 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._io import check_fits_text, suffix_of, writing_to
-from rfpsurvey._readers import head_of, read_tables, sentence
+from rfpsurvey._io import check_fits_text, writing_to
+from rfpsurvey._methods import table_of
+from rfpsurvey._readers import head_of, read_tables, sentence, suffix_of
 from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, warn
 from rfpsurvey.instrument import MOST_DEVICE, N_PETALS
-from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
-from rfpsurvey.plans._values import from_keywords, to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import (
+    Native,
+    check_instrument,
+    from_keywords,
+    make_plan,
+    own_name,
+    texts_of_lost,
+    to_keywords,
+    to_type,
+    without_keywords,
+)
 
-ENDINGS = (".fits",)
+FORMAT, ENDINGS = "fiberassign", (".fits",)
 NAME = re.compile(rb"EXTNAME *= *'FIBERASSIGN *'")
-TYPES = {
-    "TARGETID": "i8",
-    "PETAL_LOC": "i2",
-    "DEVICE_LOC": "i4",
-    "LOCATION": "i4",
-    "FIBER": "i4",
-    "FIBERSTATUS": "i4",
-    "TARGET_RA": "f8",
-    "TARGET_DEC": "f8",
-    "PMRA": "f4",
-    "PMDEC": "f4",
-    "REF_EPOCH": "f4",
-    "LAMBDA_REF": "f4",
-    "FA_TARGET": "i8",
-    "FA_TYPE": "u1",
-    "OBJTYPE": "U3",
-    "FIBERASSIGN_X": "f4",
-    "FIBERASSIGN_Y": "f4",
-    "PRIORITY": "i4",
-}
-"""Columns of the table FIBERASSIGN in a new file, with their NumPy types."""
-UNITS = {"TARGET_RA": u.deg, "TARGET_DEC": u.deg, "PMRA": u.mas / u.yr, "PMDEC": u.mas / u.yr}
-UNITS |= {"FIBERASSIGN_X": u.mm, "FIBERASSIGN_Y": u.mm}
-REQUIRED = ("LOCATION", "TARGETID", "FIBERSTATUS", "TARGET_RA", "TARGET_DEC", "FIBERASSIGN_X", "FIBERASSIGN_Y")
-COMMON = {
-    "positioner": "LOCATION",
-    "target_id": "TARGETID",
-    "x": "FIBERASSIGN_X",
-    "y": "FIBERASSIGN_Y",
-    "ra": "TARGET_RA",
-    "dec": "TARGET_DEC",
-    "pm_ra": "PMRA",
-    "pm_dec": "PMDEC",
-    "priority": "PRIORITY",
-}
-"""Name of each column in a plan, and its name in a fiberassign file; ``x`` and ``FIBERASSIGN_X`` differ in sign."""
+COLUMNS = table_of(
+    Native("TARGETID", "i8", "target_id", required=True),
+    Native("PETAL_LOC", "i2"),
+    Native("DEVICE_LOC", "i4"),
+    Native("LOCATION", "i4", "positioner", required=True),
+    Native("FIBER", "i4", usual=-1),
+    Native("FIBERSTATUS", "i4", required=True),
+    Native("TARGET_RA", "f8", "ra", required=True, usual=np.nan),
+    Native("TARGET_DEC", "f8", "dec", required=True, usual=np.nan),
+    Native("PMRA", "f4", "pm_ra", usual=0),
+    Native("PMDEC", "f4", "pm_dec", usual=0),
+    Native("REF_EPOCH", "f4"),
+    Native("LAMBDA_REF", "f4", usual=5400.0),  # Angstrom; all files of DESI have this value
+    Native("FA_TARGET", "i8", usual=0),
+    Native("FA_TYPE", "u1"),
+    Native("OBJTYPE", "U3"),
+    Native("FIBERASSIGN_X", "f4", "x", required=True),
+    Native("FIBERASSIGN_Y", "f4", "y", required=True),
+    Native("PRIORITY", "i4", "priority", usual=0),
+)
+"""Columns of the table FIBERASSIGN in a new file; ``x`` and ``FIBERASSIGN_X`` differ in sign."""
+COMMON = {one.common: name for name, one in COLUMNS.items() if one.common}
 EXACT, RANKS = "PRIORITY_VALUE", "PRIORANK"
 """Column with the priorities of a plan if PRIORITY contains ranks, and keyword that states this."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
-LAMBDA_REF = 5400.0  # Angstrom; all files of DESI have this value
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
 SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")
@@ -84,8 +79,9 @@ def read(path: Path) -> QTable:
     if not found:
         raise InputError(f"{path}: the file must have the extension FIBERASSIGN, got none")
     table = found[0]
-    check_columns(table.colnames, REQUIRED, f"{path}: FIBERASSIGN")
-    values = {name: _column(table, name, path) for name in table.colnames if name in TYPES}
+    required = [name for name, one in COLUMNS.items() if one.required]
+    check_columns(table.colnames, required, f"{path}: FIBERASSIGN")
+    values = {name: _column(table, name, path) for name in table.colnames if name in COLUMNS}
     check_unique(values["LOCATION"], f"{path}: LOCATION")
     status = values["FIBERSTATUS"]
     columns = {common: values[name] for common, name in COMMON.items() if name in values}
@@ -97,15 +93,16 @@ def read(path: Path) -> QTable:
         **({"priority": _column(table, EXACT, path)} if EXACT in table.colnames else {}),
     }
     header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
+    rotation = _angle(header, "FIELDROT", path)
     plan = make_plan(
         columns,
         {name: table[name] for name in table.colnames if name not in (*COMMON.values(), EXACT)},
-        format="fiberassign",
+        format=FORMAT,
         instrument="desi",
         header=header,
         racen=_angle(header, "TILERA", path),
         deccen=_angle(header, "TILEDEC", path),
-        position_angle=_opposite(_angle(header, "FIELDROT", path)),
+        position_angle=None if rotation is None else 0.0 - rotation,
         epoch=_epoch(values.get("REF_EPOCH")),
         **from_keywords(header),
     )
@@ -149,21 +146,20 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
-    names = [name for name in plan.colnames if name not in known]
-    names = [name for name in names if not _is_own(plan) or name in ("theta", "phi")]
-    return texts_of_lost(plan, names, "fiberassign")
+    known |= {*plan.colnames} - {"theta", "phi"} if _is_own(plan) else set()
+    return texts_of_lost(plan, known, FORMAT, several_roles=True)
 
 
 def _column(table, name, path) -> np.ndarray:
     """Return a column as text, or as numbers in the unit of the data model; raise an error for a wrong type or unit."""
     what, column = f"{path}: column {name!r}", table[name]
     values = to_plain(column, what)
-    expected = "U" if name == "OBJTYPE" else "f" if name == EXACT or TYPES[name][0] == "f" else "iu"
+    expected = "U" if name == "OBJTYPE" else "f" if name == EXACT or COLUMNS[name].type[0] == "f" else "iu"
     fits = values.dtype.kind in ("iuf" if expected == "f" else expected)
     if values.ndim != 1 or not fits:
         kind = {"U": "text", "f": "numbers", "iu": "whole numbers"}[expected]
         raise InputTypeError(f"{what} must hold {kind}, got {values.dtype.name} of the shape {values.shape}")
-    unit, given = UNITS.get(name), getattr(column, "unit", None)
+    unit, given = None if name == EXACT else COLUMNS[name].unit, getattr(column, "unit", None)
     if unit is not None and given is not None:
         if not given.is_equivalent(unit):
             raise InputError(f"{what} must have a unit convertible to {unit}, got {given}")
@@ -202,10 +198,6 @@ def _angle(header, name, path):
     return None if value is None else float(value)
 
 
-def _opposite(angle):
-    return None if angle is None else 0.0 - angle
-
-
 def _epoch(years):
     """Return the epoch of target positions, or None if REF_EPOCH has no positive value or several different ones."""
     years = np.unique(years[years > 0]) if years is not None else []
@@ -228,13 +220,13 @@ def _header(plan) -> dict:
 
 
 def _is_own(plan) -> bool:
-    return plan.meta.get("format") == "fiberassign"
+    return plan.meta.get("format") == FORMAT
 
 
 def _columns(plan, header, path) -> dict:
     """Return the columns of FIBERASSIGN, by name.
 
-    The columns have the order of the file from which the plan was read or, for plans of other formats, of ``TYPES``.
+    The columns have the order of the file from which the plan was read or, for plans of other formats, of ``COLUMNS``.
     """
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan, path)
@@ -261,35 +253,30 @@ def _columns(plan, header, path) -> dict:
             if name in found and edited.any():
                 found[name] = np.where(edited, values, np.asarray(found[name]))
     else:
-        n = len(plan)
-        found = {
-            "PETAL_LOC": location // 1000,
-            "DEVICE_LOC": location % 1000,
-            "FIBER": np.full(n, -1),
-            "FIBERSTATUS": np.where(assigned, 0, UNASSIGNED),
-            "LAMBDA_REF": np.full(n, LAMBDA_REF),
-            "FA_TARGET": np.zeros(n),
-            "FA_TYPE": np.where(assigned & (bits == 0), SCIENCE, bits),
-            "OBJTYPE": np.where(assigned & (bits == 0), "TGT", words),
-            "PMRA": np.zeros(n),
-            "PMDEC": np.zeros(n),
-            "REF_EPOCH": np.full(n, _year(plan.meta.get("epoch"))),
-            "PRIORITY": np.zeros(n),
-            "TARGET_RA": np.full(n, np.nan),
-            "TARGET_DEC": np.full(n, np.nan),
-        } | common
+        usual = {name: np.full(len(plan), one.usual) for name, one in COLUMNS.items() if one.usual is not None}
+        found = (
+            usual
+            | {
+                "PETAL_LOC": location // 1000,
+                "DEVICE_LOC": location % 1000,
+                "FIBERSTATUS": np.where(assigned, 0, UNASSIGNED),
+                "FA_TYPE": np.where(assigned & (bits == 0), SCIENCE, bits),
+                "OBJTYPE": np.where(assigned & (bits == 0), "TGT", words),
+                "REF_EPOCH": np.full(len(plan), _year(plan.meta.get("epoch"))),
+            }
+            | common
+        )
         found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"], path)
-    for name, kind in TYPES.items():
-        if name in found and not (_is_own(plan) and _has_kind(found[name], kind)):
-            found[name] = _typed(found[name], kind, UNITS.get(name), f"{path}: {name}")
-    order = dict.fromkeys([*plan.meta.get("columns", TYPES), *found])
+    for name, one in COLUMNS.items():
+        if name in found and not (_is_own(plan) and _has_kind(found[name], one.type)):
+            found[name] = _typed(found[name], one.type, one.unit, f"{path}: {name}")
+    order = dict.fromkeys([*plan.meta.get("columns", COLUMNS), *found])
     return {name: found[name] for name in order if name in found}
 
 
 def _locations(plan, path) -> np.ndarray:
     """Return the LOCATION in DESI of each positioner of a plan."""
-    if plan.meta["instrument"] != "desi":
-        raise InputError(f"{path}: the instrument of a fiberassign file must be desi, got {plan.meta['instrument']}")
+    check_instrument(plan, path, "a fiberassign file", "desi")
     ids = np.asarray(plan["positioner"])
     wrong = np.ones(len(ids), dtype=bool)
     if ids.dtype.kind in "iu":

@@ -12,33 +12,30 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._readers import head_of, read_fits_units
-from rfpsurvey._units import check_columns, check_unique
+from rfpsurvey._units import check_columns, check_unique, to_plain
 from rfpsurvey.errors import InputError, listed, warn
 from rfpsurvey.instrument import pfs_fibers
 from rfpsurvey.plans._pfsdesign_write import (
     COMMENTARY,
+    DESIGN,
     FLUXES,
-    FORMATS,
-    FROM_TILE,
+    FORMAT,
+    GOOD,
     NATIVE,
+    NUMBERS,
     PFI_ANGLE,
     REQUIRED,
+    TEXT,
+    WHOLE,
     design_id,
     wrapped,
     write,
 )
-from rfpsurvey.plans._plan import make_plan, own_name, texts_of_lost
-from rfpsurvey.plans._values import from_keywords
+from rfpsurvey.plans._values import from_keywords, make_plan, own_name, texts_of_lost
 
-__all__ = ["ENDINGS", "lost", "read", "recognizes", "write"]
+__all__ = ["ENDINGS", "lost", "neglected", "read", "recognizes", "write"]
 
-WHOLE, NUMBERS, TEXT = "iu", "iuf", "U"
 ENDINGS = (".fits",)
-COLUMNS = {
-    "fiberId": WHOLE, "ra": NUMBERS, "dec": NUMBERS, "catId": WHOLE, "objId": WHOLE, "targetType": WHOLE,
-    "pfiNominal": NUMBERS, "cobraId": WHOLE, "epoch": TEXT + NUMBERS, "pmRa": NUMBERS, "pmDec": NUMBERS,
-}  # fmt: skip
-"""Columns of DESIGN that are interpreted, with their kinds of NumPy types."""
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}
 """Kind of target for each ``targetType``; fibers with another ``targetType`` have no target."""
 NO_FILTER = "none"
@@ -79,9 +76,9 @@ def read(path: Path) -> QTable:
     check_columns(rows.dtype.names, REQUIRED, f"{path}: DESIGN")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
-    for name, kinds in COLUMNS.items():
-        if name in rows.dtype.names:
-            _check_column(rows, "DESIGN", name, kinds, path)
+    for name, one in DESIGN.items():
+        if name in rows.dtype.names and one.kinds:
+            _check_column(rows, "DESIGN", name, one.kinds, path)
     fiber = rows["fiberId"]
     check_unique(fiber, f"{path}: fiberId")
     header = _values(primary, path)
@@ -113,7 +110,7 @@ def read(path: Path) -> QTable:
     return make_plan(
         columns,
         native,
-        format="pfsdesign",
+        format=FORMAT,
         instrument="pfs",
         header=header,
         racen=center[0],
@@ -128,11 +125,18 @@ def read(path: Path) -> QTable:
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE}
-    if plan.meta["format"] == "pfsdesign":
-        names |= {*FORMATS, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
+    if plan.meta["format"] == FORMAT:
+        names |= {*DESIGN, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
     else:
-        names |= {*FROM_TILE, "spectrograph"}
-    return texts_of_lost(plan, [name for name in plan.colnames if name not in names], "pfsdesign")
+        names |= {"spectrograph", *(name for name, one in DESIGN.items() if one.usual is not None and not one.common)}
+    return texts_of_lost(plan, names, FORMAT)
+
+
+def neglected(plan: QTable, sky: bool) -> list[str]:
+    """Return a text if assigned rows have fibers that are not good, which a score neglects."""
+    bad = to_plain(plan["fiberStatus"]) != GOOD if "fiberStatus" in plan.colnames else np.zeros(0)
+    text = f"{bad.sum()} fibers with a target have a fiberStatus other than {GOOD} (good), but count as assigned"
+    return [text] if bad.any() else []
 
 
 def _cobras(rows: np.ndarray) -> np.ndarray:

@@ -11,39 +11,39 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._io import writing_to
+from rfpsurvey._methods import table_of
 from rfpsurvey._readers import sentence
 from rfpsurvey._units import check_columns, check_unique
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.instrument import PFI_ANGLE, pfs_engineering_fibers, pfs_fibers
-from rfpsurvey.plans._plan import own_name
-from rfpsurvey.plans._values import to_keywords, to_type, without_keywords
+from rfpsurvey.plans._values import Native, check_instrument, own_name, to_keywords, to_type, without_keywords
 
+FORMAT = "pfsdesign"
 TYPES = {"science": 1, "sky": 2, "standard": 3}
 UNASSIGNED, ENGINEERING, GOOD, NO_COBRA = 4, 5, 1, 65533
-NATIVE = {"target_id": "objId", "ra": "ra", "dec": "dec", "pm_ra": "pmRa", "pm_dec": "pmDec"}
-REQUIRED = ("fiberId", "ra", "dec", "catId", "objId", "targetType", "pfiNominal")
-FORMATS = {
-    "fiberId": "J",
-    "cobraId": "J",
-    "tract": "J",
-    "patch": "A",
-    "ra": "D",
-    "dec": "D",
-    "catId": "J",
-    "objId": "K",
-    "targetType": "J",
-    "epoch": "A",
-    "pmRa": "E",
-    "pmDec": "E",
-    "parallax": "E",
-    "proposalId": "A",
-    "obCode": "A",
-    "pfiNominal": "2E",
-    "fiberStatus": "J",
-}
-"""Columns of the table DESIGN in a new file, with their FITS formats."""
-FROM_TILE = ("tract", "patch", "catId", "proposalId", "obCode")
-"""Columns of DESIGN that are copied from a tile with columns of these names."""
+WHOLE, NUMBERS, TEXT = "iu", "iuf", "U"
+DESIGN = table_of(
+    Native("fiberId", "J", required=True, kinds=WHOLE),
+    Native("cobraId", "J", kinds=WHOLE),
+    Native("tract", "J", usual=-1),
+    Native("patch", "A", usual="0,0"),
+    Native("ra", "D", "ra", required=True, usual=np.nan, kinds=NUMBERS),
+    Native("dec", "D", "dec", required=True, usual=np.nan, kinds=NUMBERS),
+    Native("catId", "J", required=True, usual=-1, kinds=WHOLE),
+    Native("objId", "K", "target_id", required=True, kinds=WHOLE),
+    Native("targetType", "J", required=True, kinds=WHOLE),
+    Native("epoch", "A", kinds=TEXT + NUMBERS),
+    Native("pmRa", "E", "pm_ra", usual=0.0, kinds=NUMBERS),
+    Native("pmDec", "E", "pm_dec", usual=0.0, kinds=NUMBERS),
+    Native("parallax", "E"),
+    Native("proposalId", "A", usual="N/A"),
+    Native("obCode", "A", usual="N/A"),
+    Native("pfiNominal", "2E", required=True, kinds=NUMBERS),
+    Native("fiberStatus", "J"),
+)
+"""Columns of the table DESIGN in a new file; a column with a usual value is copied from a tile with this column."""
+NATIVE = {one.common: name for name, one in DESIGN.items() if one.common}
+REQUIRED = [name for name, one in DESIGN.items() if one.required]
 DTYPES = {"B": "u1", "I": "i2", "J": "i4", "K": "i8", "E": "f4"}
 FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
 FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
@@ -57,15 +57,20 @@ GUIDE_UNITS = {
 }  # fmt: skip
 COMMENTARY = ("COMMENT", "HISTORY")
 GUIDE_COMMENTS = {"TEL_ELEV": "[degree] elevation of the telescope", "GS_CATID": "catalog of the guide stars"}
-COMMENTS = {
-    "RA": "[degree] right ascension of the field center",
-    "DEC": "[degree] declination of the field center",
-    "POSANG": "[degree] position angle of the PFI",
-    "ARMS": "spectrograph arms to expose",
-    "DSGN_NAM": "name of the design",
-    "DAMD_VER": "version of the data model",
-    "W_PFDSGN": "identifier of the design",
+CARDS = {
+    "RA": ("[degree] right ascension of the field center", lambda meta: float(meta["racen"])),
+    "DEC": ("[degree] declination of the field center", lambda meta: float(meta["deccen"])),
+    "POSANG": ("[degree] position angle of the PFI", lambda meta: wrapped(float(meta["position_angle"]) - PFI_ANGLE)),
+    "ARMS": ("spectrograph arms to expose", "brn"),
+    "DSGN_NAM": ("name of the design", ""),
+    "DAMD_VER": ("version of the data model", 4),
+    "W_PFDSGN": ("identifier of the design", 0),
+    "VARIANT": ("", 0),
+    "PFDSGN0": ("", 0),
+    "W_DSGVER": ("", ""),
 }
+"""Cards of the primary header of a new file: comments, and values or functions of the ``meta`` of a plan."""
+COMMENTS = {name: comment for name, (comment, _) in CARDS.items()}
 NAME = re.compile(r"pfsDesign-0x([0-9a-f]{16})\.fits(\.gz)?", re.IGNORECASE)
 
 
@@ -84,11 +89,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     match = NAME.fullmatch(path.name)
     if match and int(match[1], 16) != number:
         raise InputError(f"{path}: the file of this design must have the name pfsDesign-0x{number:016x}.fits")
-    comments = plan.meta.get("comments", {}) if plan.meta["format"] == "pfsdesign" else COMMENTS
-    with (
-        writing_to(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary,
-        warnings.catch_warnings(),
-    ):
+    comments = plan.meta.get("comments", {}) if plan.meta["format"] == FORMAT else COMMENTS
+    with writing_to(path, (".fits",), overwrite=overwrite, gzipped=True) as temporary, warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ignore warnings about names of columns and keywords
         try:
             units = fits.HDUList([fits.PrimaryHDU(header=_fits_header(header, comments))])
@@ -124,10 +126,9 @@ def wrapped(angle: float) -> float:
 
 def _rows(plan: QTable, path: Path) -> dict:
     """Return the values and the FITS format of each column of DESIGN, by name."""
-    if plan.meta["instrument"] != "pfs":
-        raise InputError(f"{path}: the instrument of a design of PFS must be pfs, got {plan.meta['instrument']}")
+    check_instrument(plan, path, "a design of PFS", "pfs")
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
-    if plan.meta["format"] != "pfsdesign":
+    if plan.meta["format"] != FORMAT:
         return _new_rows(plan, plain, path)
     found = {}
     for native, form in plan.meta["formats"]:
@@ -164,37 +165,28 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
     order = np.argsort(np.concatenate([fiber[cobra - 1], spare]))
     n = len(spare)
 
-    def numbers(name, default=np.nan):
-        values = plain.get(name, np.full(len(plan), default)).astype(float)
-        return np.concatenate([np.where(has_target, values, default), np.full(n, default)])[order]
+    def whole(values, spare):
+        return np.concatenate([values, np.full(n, spare)])[order]
 
-    def whole(values, default):
-        return np.concatenate([values, np.full(n, default)])[order]
+    def of_targets(name, usual, missing=None):
+        """Return a column of the plan, with the usual value of fibers without a target."""
+        values = plain.get(name, np.full(len(plan), usual if missing is None else missing))
+        return whole(np.where(has_target, values, usual), usual)
 
-    def own(name, default, spare=None):
-        values = np.where(has_target, plain.get(name, np.full(len(plan), default)), default if spare is None else spare)
-        return whole(values, default if spare is None else spare)
-
-    found = {
+    found = {name: of_targets(one.common or name, one.usual) for name, one in DESIGN.items() if one.usual is not None}
+    found |= {
         "fiberId": np.concatenate([fiber[cobra - 1], spare])[order],
         "cobraId": whole(cobra, NO_COBRA),
-        "tract": own("tract", -1),
-        "patch": own("patch", "0,0"),
-        "ra": numbers("ra"),
-        "dec": numbers("dec"),
-        "catId": own("catId", 0, -1),
+        "catId": of_targets("catId", -1, missing=0),
         "objId": whole(np.where(has_target, target, -1), -1),
         "targetType": whole(types, ENGINEERING),
         "epoch": np.full(len(order), str(plan.meta.get("epoch") or "J2000.0")),
-        "pmRa": numbers("pm_ra", 0.0),
-        "pmDec": numbers("pm_dec", 0.0),
         "parallax": np.full(len(order), 1e-8),
-        "proposalId": own("proposalId", "N/A"),
-        "obCode": own("obCode", "N/A"),
-        "pfiNominal": np.column_stack([numbers("x"), numbers("y")]),
+        "pfiNominal": np.column_stack([of_targets(name, np.nan) for name in ("x", "y")]),
         "fiberStatus": np.full(len(order), GOOD),
     }
-    return {name: (v, _text_form(v) if FORMATS[name] == "A" else FORMATS[name]) for name, v in found.items()}
+    forms = {name: _text_form(found[name]) if one.type == "A" else one.type for name, one in DESIGN.items()}
+    return {name: (found[name], form) for name, form in forms.items()}
 
 
 def _text_form(values: np.ndarray) -> str:
@@ -203,25 +195,14 @@ def _text_form(values: np.ndarray) -> str:
 
 def _header(plan: QTable, path: Path) -> dict:
     """Return the keywords of the primary header of a design."""
-    if plan.meta["format"] == "pfsdesign":
+    if plan.meta["format"] == FORMAT:
         return dict(plan.meta["header"])
     for name in ("racen", "deccen", "position_angle"):
         if plan.meta.get(name) is None:
             raise InputError(
                 f"{path}: the plan must have {name} in its meta, got none; plan or score the tile with sky coordinates"
             )
-    return {
-        "RA": float(plan.meta["racen"]),
-        "DEC": float(plan.meta["deccen"]),
-        "POSANG": wrapped(float(plan.meta["position_angle"]) - PFI_ANGLE),
-        "ARMS": "brn",
-        "DSGN_NAM": "",
-        "DAMD_VER": 4,
-        "W_PFDSGN": 0,
-        "VARIANT": 0,
-        "PFDSGN0": 0,
-        "W_DSGVER": "",
-    }
+    return {name: value(plan.meta) if callable(value) else value for name, (_, value) in CARDS.items()}
 
 
 def _identifier(plan: QTable, rows: dict) -> int:
@@ -231,7 +212,7 @@ def _identifier(plan: QTable, rows: dict) -> int:
     Otherwise, `design_id` computes the identifier.
     """
     number = design_id(*(np.asarray(rows[name][0]) for name in ("fiberId", "ra", "dec")))
-    if plan.meta["format"] == "pfsdesign" and number == plan.meta["rows_id"]:
+    if plan.meta["format"] == FORMAT and number == plan.meta["rows_id"]:
         return int(plan.meta["header"].get("W_PFDSGN", number))
     return number
 
@@ -258,7 +239,7 @@ def _table(name: str, columns: dict, header, units: dict | None = None):
     for key, (values, form) in columns.items():
         kind, more = DTYPES.get(form[-1]), {}
         values = np.asarray(values)
-        if key not in FORMATS and values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these with an offset
+        if key not in DESIGN and values.dtype.str[1:] in ("i1", "u2", "u4", "u8"):  # FITS stores these with an offset
             more["bzero"] = -128 if values.dtype.kind == "i" else 2 ** (8 * values.dtype.itemsize - 1)
         elif kind is not None:
             values = to_type(values, kind, f"column {key!r} of {name}")
@@ -276,7 +257,7 @@ def _flux_rows(plan: QTable) -> dict:
     """Return the columns of PHOTOMETRY, with one row for each fiber and filter."""
     names = [name for name in FLUXES if name in plan.colnames]
     form = dict.fromkeys(FLUXES, "E")
-    if plan.meta["format"] != "pfsdesign" or "filterName" not in plan.colnames:
+    if plan.meta["format"] != FORMAT or "filterName" not in plan.colnames:
         none = {name: (np.empty(0, dtype=np.float32), "E") for name in form}
         return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
     filters = np.asarray(plan["filterName"]).reshape(len(plan), -1)
@@ -292,7 +273,7 @@ def _flux_rows(plan: QTable) -> dict:
 
 def _guide_stars(plan: QTable):
     """Return the table of guide stars of the file that was read, or an empty table if there are no guide stars."""
-    stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == "pfsdesign" else {}
+    stars = plan.meta.get("guide_stars", {}) if plan.meta["format"] == FORMAT else {}
     formats = dict(stars.get("formats", GUIDE_STARS))
     columns = {}
     for name, form in formats.items():

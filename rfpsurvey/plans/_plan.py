@@ -3,7 +3,7 @@
 Each format is a module, or an object of another package, with ``ENDINGS`` (the endings of its files) and four
 functions: ``read(path)`` returns the table of a plan, ``write(plan, path, *, overwrite)`` writes a plan to a file,
 ``recognizes(path)`` returns whether a file has the format, and ``lost(plan)`` describes the data that the format cannot
-represent.
+represent. Further names are optional (`OPTIONAL`).
 """
 
 import os
@@ -11,17 +11,15 @@ from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
 
-import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
-from rfpsurvey._io import read_table, suffix_of, to_path
+from rfpsurvey._io import read_table, to_path
 from rfpsurvey._plugins import find_plugin, plugin_names
-from rfpsurvey._readers import check_is_file, reading, sentence
-from rfpsurvey._roles import JOINED
+from rfpsurvey._readers import check_is_file, has_ending, reading, sentence, suffix_of
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, warn
-from rfpsurvey.plans._values import ENTRIES
+from rfpsurvey.plans._values import ENTRIES, make_plan
 
 FORMATS = ("confsummary", "fiberassign", "pfsdesign")
 """Names of the formats of other programs; the format ``name`` is the module ``_name``."""
@@ -30,24 +28,14 @@ TABLE = "table"
 GROUP = "rfpsurvey.plan_formats"
 """Group of entry points of packages that add formats."""
 PARTS = ("ENDINGS", "read", "write", "recognizes", "lost")
-
-COLUMNS = {
-    "positioner": None,
-    "fiber_type": None,
-    "target_id": None,
-    "kind": None,
-    "assigned": None,
-    "x": u.mm,
-    "y": u.mm,
-    "theta": u.deg,
-    "phi": u.deg,
-    "ra": u.deg,
-    "dec": u.deg,
-    "pm_ra": u.mas / u.yr,
-    "pm_dec": u.mas / u.yr,
-    "priority": None,
+OPTIONAL = {
+    "magnitudes": lambda plan: {},
+    "neglected": lambda plan, sky: [],
+    "NORTH_OF_DATE": "",
+    "EPOCH_OF_OBSERVATION": False,
 }
-"""Common columns of all plans, in this order, with their units; ``theta`` to ``priority`` are optional."""
+"""Names that a format can also have, which ``docs/plugins.rst`` describes, and what formats without them use."""
+
 REQUIRED = ("positioner", "fiber_type", "target_id", "kind", "assigned", "x", "y")
 FROM_TILE = {"id": "positioner", "tip_x": "x", "tip_y": "y"}
 PRIVATE = {"struct", "formats", "columns", "comments", "guide_stars", "extensions"}
@@ -279,12 +267,11 @@ def as_plan(plan: object) -> QTable:
         raise InputTypeError(f"a plan must be a table that read_plan returned, or a Tile, got {type(plan).__name__}")
     parameters = table.meta["provenance"]["parameters"]
     has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
-    n = len(table)
+    none = np.full(len(table), "")
     columns = {
+        **{name: np.asarray(table[name]) if name in table.colnames else none for name in ("fiber_type", "kind")},
         "positioner": np.asarray(table["id"]),
-        "fiber_type": np.asarray(table["fiber_type"]) if "fiber_type" in table.colnames else np.full(n, ""),
         "target_id": _filled(table["target_id"], has_target),
-        "kind": np.asarray(table["kind"]) if "kind" in table.colnames else np.full(n, ""),
         "assigned": has_target,
         "x": table["tip_x"],
         "y": table["tip_y"],
@@ -306,50 +293,22 @@ def as_plan(plan: object) -> QTable:
 
 
 def further_columns(table: Table) -> dict[str, np.ndarray]:
-    """Return the columns with one value per row and, for a plan of SDSS-V, the magnitudes by the names of the bands."""
+    """Return the columns of a plan with one value per row, and its magnitudes by the names of the bands."""
     found = {name: to_plain(table[name]) for name in table.colnames if table[name].ndim == 1}
-    return _format("confsummary").magnitudes(table) | found if table.meta.get("format") == "confsummary" else found
+    return format_of(table).magnitudes(table) | found
+
+
+def format_of(table: Table) -> SimpleNamespace:
+    """Return the optional functions and facts (`OPTIONAL`) of the format of a plan; the usual ones for other tables."""
+    name = table.meta.get("format")
+    own = _format(name) if name in _names() else None
+    return SimpleNamespace(**{part: getattr(own, part, usual) for part, usual in OPTIONAL.items()})
 
 
 def is_tile(table: Table) -> bool:
     """Return whether a table describes a tile of this package."""
     provenance = table.meta.get("provenance")
     return {"status", "in_collision", "target_id"} <= {*table.colnames} and isinstance(provenance, dict)
-
-
-def make_plan(columns: dict, native: dict, *, format: str, instrument: str, header: dict, **meta) -> QTable:  # noqa: A002
-    """Return the table of a plan.
-
-    ``columns`` contains the common columns of all plans (`COLUMNS`) as quantities, or as arrays without units in the
-    units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are
-    omitted. A column of the file that has the name of a common column is renamed (`own_name`).
-    """
-    table = QTable()
-    for name, unit in COLUMNS.items():
-        if name in columns:
-            table[name] = columns[name] if unit is None else u.Quantity(columns[name], unit, copy=True)
-    for name, values in native.items():
-        table[own_name(name)] = values
-    found = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
-    table.meta = {name: value for name, value in found.items() if value is not None}
-    return table
-
-
-def own_name(name: str) -> str:
-    """Return the name in a plan of a column of a file; columns with the name of a common column are renamed."""
-    return f"{name}_in_file" if name in COLUMNS else name
-
-
-def texts_of_lost(plan: QTable, names: list[str], format: str) -> list[str]:  # noqa: A002
-    """Return texts on the columns ``names`` of a plan and on its header, if a file format cannot represent them."""
-    found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
-    if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
-        found.append("the keywords of the header")
-    kinds = np.asarray(plan["kind"]).astype(str)
-    if format != "fiberassign" and (several := np.unique(kinds[np.isin(kinds, JOINED)])).size:
-        lost = sorted({role for kind in several.tolist() for role in kind.split("+")[:-1]})
-        found.append(f"the role{'s' * (len(lost) > 1)} {' and '.join(lost)} of targets that have several roles")
-    return found
 
 
 def _filled(ids, has_target) -> np.ndarray:
@@ -384,17 +343,18 @@ def _format(name: str) -> object:
 
         return call
 
-    return SimpleNamespace(ENDINGS=plugin.value.ENDINGS, **{n: guarded(getattr(plugin.value, n)) for n in PARTS[1:]})
+    found = {name: getattr(plugin.value, name) for name in (*PARTS, *OPTIONAL) if hasattr(plugin.value, name)}
+    return SimpleNamespace(**{name: guarded(part) if callable(part) else part for name, part in found.items()})
 
 
 def _format_for(plan: QTable, path: Path) -> object:
     """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or the first that fits."""
-    names, ending, endings = _names(), suffix_of(path), set()
+    names, endings = _names(), set()
     own = plan.meta.get("format")
     # packages are imported only if no other format fits
     for name in dict.fromkeys([*([own] if own in names else []), TABLE, *names]):
         found = _format(name)
-        if ending in found.ENDINGS:
+        if has_ending(path, found.ENDINGS):
             return found
         endings.update(found.ENDINGS)
     raise InputError(f"{path}: the name of a plan must end in one of {', '.join(sorted(endings))} (or with .gz)")

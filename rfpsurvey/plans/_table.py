@@ -6,12 +6,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 
-from rfpsurvey._io import read_table, suffix_of, write_table
+from rfpsurvey._io import read_table, write_table
+from rfpsurvey._outputs import WRITABLE
+from rfpsurvey._readers import suffix_of
 from rfpsurvey._units import to_flags, to_plain, to_unit
 from rfpsurvey.errors import InputError, listed, short
-from rfpsurvey.plans._plan import COLUMNS, FROM_TILE, as_plan, is_plan, is_tile
+from rfpsurvey.plans._plan import FROM_TILE, as_plan, is_plan, is_tile
+from rfpsurvey.plans._values import COLUMNS
 
-ENDINGS = (".ecsv", ".fits")
+ENDINGS = WRITABLE
 TILE_COLUMNS = ("id", "target_id", "status", "tip_x", "tip_y")
 """Columns that the table of a tile must have."""
 TEXT, NUMBER = (str,), (int, float)
@@ -52,7 +55,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 def recognizes(path: Path) -> bool:
     """Return whether a file contains the table of a plan or of a tile."""
-    if suffix_of(path) not in (".ecsv", ".fits"):
+    if suffix_of(path) not in ENDINGS:
         return False
     try:
         table = read_table(path)

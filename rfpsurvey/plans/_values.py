@@ -1,13 +1,85 @@
-"""Parts of plan files: columns of narrower types, and keywords that describe the projection."""
+"""Parts of plans and their files: columns, keywords that describe the projection, and the instrument."""
 
+from pathlib import Path
+from typing import NamedTuple
+
+import astropy.units as u
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey._readers import is_number
+from rfpsurvey._roles import JOINED
 from rfpsurvey.errors import InputError
 
 PREFIX = "rfpsurvey."
 ENTRIES = ("north_of", "projection", "conditions")
 """Entries of the ``meta`` of a plan that describe how its sky positions were projected."""
+
+
+COLUMNS = dict.fromkeys(("positioner", "fiber_type", "target_id", "kind", "assigned"))
+COLUMNS |= dict.fromkeys(("x", "y"), u.mm) | dict.fromkeys(("theta", "phi", "ra", "dec"), u.deg)
+COLUMNS |= {"pm_ra": u.mas / u.yr, "pm_dec": u.mas / u.yr, "priority": None}
+"""Common columns of all plans, in this order, with their units; ``theta`` to ``priority`` are optional."""
+
+
+class Native(NamedTuple):
+    """The description of a column of a file of another program."""
+
+    name: str
+    type: str
+    """NumPy type or FITS format of the column in a new file."""
+    common: str = ""
+    """Name of the column in a plan, if it is one of `COLUMNS`, whose unit it then has."""
+    required: bool = False
+    """Whether each file has the column."""
+    usual: object = None
+    """Value of fibers for which a plan has no value, in a new file; None if the value differs between fibers."""
+    kinds: str = ""
+    """Kinds of NumPy types that the column can have in files; empty if this is not checked."""
+
+    @property
+    def unit(self) -> u.UnitBase | None:
+        """Unit of the column, or None."""
+        return COLUMNS.get(self.common)
+
+
+def make_plan(columns: dict, native: dict, *, format: str, instrument: str, header: dict, **meta) -> QTable:  # noqa: A002
+    """Return the table of a plan.
+
+    ``columns`` contains the common columns of all plans (`COLUMNS`) as quantities, or as arrays without units in the
+    units of `COLUMNS`. ``native`` contains the other columns of the file. Entries of ``meta`` that are None are
+    omitted. A column of the file that has the name of a common column is renamed (`own_name`).
+    """
+    table = QTable()
+    for name, unit in COLUMNS.items():
+        if name in columns:
+            table[name] = columns[name] if unit is None else u.Quantity(columns[name], unit, copy=True)
+    for name, values in native.items():
+        table[own_name(name)] = values
+    found = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
+    table.meta = {name: value for name, value in found.items() if value is not None}
+    return table
+
+
+def own_name(name: str) -> str:
+    """Return the name in a plan of a column of a file; columns with the name of a common column are renamed."""
+    return f"{name}_in_file" if name in COLUMNS else name
+
+
+def texts_of_lost(plan: QTable, known: set[str], format: str, *, several_roles: bool = False) -> list[str]:  # noqa: A002
+    """Return texts on all columns except ``known`` of a plan and on its header, if a format cannot represent them.
+
+    ``several_roles`` is whether the format can represent targets with several roles.
+    """
+    names = [name for name in plan.colnames if name not in known]
+    found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
+    if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
+        found.append("the keywords of the header")
+    kinds = np.asarray(plan["kind"]).astype(str)
+    if not several_roles and (several := np.unique(kinds[np.isin(kinds, JOINED)])).size:
+        lost = sorted({role for kind in several.tolist() for role in kind.split("+")[:-1]})
+        found.append(f"the role{'s' * (len(lost) > 1)} {' and '.join(lost)} of targets that have several roles")
+    return found
 
 
 def to_type(values: np.ndarray, dtype: str, what: str) -> np.ndarray:
@@ -72,3 +144,10 @@ def from_keywords(header: dict) -> dict:
 def without_keywords(header: dict) -> dict:
     """Return the keywords of a file without those that `to_keywords` wrote."""
     return {name: value for name, value in header.items() if not name.lower().startswith(PREFIX)}
+
+
+def check_instrument(plan: QTable, path: Path, what: str, *names: str) -> None:
+    """Raise an error unless a plan is for one of the instruments whose plans a file format contains."""
+    own = plan.meta["instrument"]
+    if own not in names:
+        raise InputError(f"{path}: the instrument of {what} must be {' or '.join(names)}, got {own}")

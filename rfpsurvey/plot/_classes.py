@@ -1,17 +1,105 @@
-"""Functions that draw a dot for each target, colored by outcome or by class, and count the targets in the legend."""
+"""Functions that show classes of targets: bars of fractions, dots colored by outcome or by class, and short names."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from matplotlib.lines import Line2D
+from astropy.table import QTable
 
 from rfpsurvey._roles import JOINED
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
-from rfpsurvey.plot._axes import diamond_size, limits_of, points_per_unit
-from rfpsurvey.plot._names import short_names
+from rfpsurvey.plot._axes import diamond_size, legend_below, legend_line, limits_of, points_per_unit
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
+
+FEWEST = 4
+HEADING = 0.9  # position of the word "observed" above the first bar
+
+
+def draw_parts(
+    ax, y: np.ndarray, pieces: Iterable, style: dict, kwargs: dict, *, with_empty: bool = False
+) -> tuple[np.ndarray, list]:
+    """Draw horizontal bars that consist of several parts; return the ends of the bars, and legend entries.
+
+    ``pieces`` contains the parts from left to right: the size of the part in each bar, its label and its style, which
+    replaces the ``style`` of all parts, and which ``kwargs`` replaces. A part that is empty in all bars has a legend
+    entry only if ``with_empty`` is true.
+    """
+    left, handles = np.zeros(len(y)), []
+    for sizes, label, look in pieces:
+        bars = ax.barh(y, sizes, left=left, label=label, **{**style, **look, **kwargs})
+        handles += [bars] if with_empty or sizes.any() else []
+        left = left + sizes
+    return left, handles
+
+
+def stacked_bars(
+    ax,
+    y: np.ndarray,
+    rows: QTable,
+    total: np.ndarray,
+    counted: np.ndarray,
+    pieces: Iterable,
+    kwargs: dict,
+    *,
+    label: str,
+    left_out: int,
+    columns: int = 2,
+) -> None:
+    """Draw a stacked bar from 0 to 1 for each class in ``rows``, and write two numbers beside each bar.
+
+    The first number is the number of observed targets (or visits) of the class (``counted``). The second number is the
+    number of all targets (or requested visits) of the class (``total``). ``pieces`` contains the parts of the bars from
+    left to right. Each part is a tuple of the number of targets (or visits) in each class, the label of the part, and
+    its style. ``label`` describes the fractions, and ``left_out`` is the number of classes without a bar.
+    """
+    pieces = [(number / np.maximum(total, 1), label, look) for number, label, look in pieces]
+    _, handles = draw_parts(ax, y, pieces, {"height": 0.75, "linewidth": 0.4, "edgecolor": "white"}, kwargs)
+    text = {"textcoords": "offset points", "fontsize": "small", "annotation_clip": False}
+    text |= {"xycoords": ("axes fraction", "data"), "va": "center"}
+    for place, done, of in zip(y, counted, total, strict=True):
+        ax.annotate(f"{done:.0f} of {of:.0f}", (1, place), (4, 0), **text)
+    ax.annotate("observed", (1, HEADING), (4, 0), **text)
+    ax.set_yticks(y, short_names([_class_label(row) for row in by_name(rows)]), fontsize="small")
+    around = 0.6 + max(FEWEST - len(y), 0) / 2  # a single bar must not fill the panel
+    ax.set(xlim=(0, 1), ylim=(y.min() - around, max(around, HEADING + 0.4)))
+    label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
+    ax.set_xlabel(label, fontsize="small" if left_out else None)
+    legend_below(ax, handles, columns=columns)
+
+
+def by_name(rows: QTable) -> list[dict]:
+    """Return the rows of a table of completeness as dicts."""
+    return [dict(zip(rows.colnames, row, strict=True)) for row in rows.as_array().tolist()]
+
+
+def _class_label(row: dict) -> str:
+    """Return the name of the class of targets that a row of a table of completeness describes."""
+    if row.get("category", "all") != "all":
+        return row["category"]
+    return row.get("kind", "all") if row["priority"] == "all" else f"priority {row['priority']}"
+
+
+MOST = 22
+"""Largest number of characters of an abbreviated name."""
+DOTS = "\N{HORIZONTAL ELLIPSIS}"
+
+
+def short_names(names: Sequence[str], most: int = MOST) -> list[str]:
+    """Return names of at most ``most`` characters; different names remain different.
+
+    Dots replace the central part of a long name. If two abbreviations would be equal, more of the beginning or of the
+    end of the names is kept; if they are still equal, the abbreviations end with numbers.
+    """
+    names = list(names)
+    for head in (most // 2, most // 4, 3 * most // 4, 1, most - 2):
+        end = most - 1 - head
+        found = [one if len(one) <= most else one[:head] + DOTS + one[-end:] for one in names]
+        if len(set(found)) == len(set(names)):
+            return found
+    number = {name: k for k, name in enumerate(dict.fromkeys(names), 1)}
+    return [f"{name[: most - 1 - len(str(number[name]))]}{DOTS}{number[name]}" for name in names]
+
 
 COLORINGS = ("outcome", "kind", "category", "priority")
 OUTCOME_COLORS = {
@@ -148,4 +236,4 @@ def draw_layers(
         if layer.label:
             look = {"markerfacecolor": layer.color, "markersize": 5 if layer.assigned else 3.5}
             look |= {"markeredgecolor": edge if layer.lost else "none", "markeredgewidth": width}
-            yield Line2D([], [], linestyle="none", marker=layer.marker, label=layer.label, **look)
+            yield legend_line(layer.label, linestyle="none", marker=layer.marker, **look)

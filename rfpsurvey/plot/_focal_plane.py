@@ -8,13 +8,29 @@ from rfpsurvey._units import to_points_mm
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.plot._arms import draw_arms, draw_marks, draw_obstacles, draw_patrol_areas
-from rfpsurvey.plot._axes import focal_plane_axes, legend_below, limits_of, points_per_unit, spacing_of
+from rfpsurvey.plot._axes import (
+    add_compass,
+    focal_plane_axes,
+    legend_below,
+    limits_of,
+    points_per_unit,
+    position_angle_of,
+    spacing_of,
+)
 from rfpsurvey.plot._classes import COLORINGS, draw_layers, layers_of, legend_options
-from rfpsurvey.plot._compass import add_compass, position_angle_of
-from rfpsurvey.plot._dots import arms_are_visible, draw_cells, draw_dots
-from rfpsurvey.plot._groups import draw_groups
-from rfpsurvey.plot._scene import GROUPS, scene_of, visible_part
+from rfpsurvey.plot._scene import (
+    GROUPS,
+    arms_are_visible,
+    draw_arms,
+    draw_cells,
+    draw_dots,
+    draw_groups,
+    draw_marks,
+    draw_obstacles,
+    draw_patrol_areas,
+    scene_of,
+    visible_part,
+)
 from rfpsurvey.plot._style import OUTLINE, SERIES
 from rfpsurvey.plot._targets import codes_of, outcomes_of
 from rfpsurvey.tile import Tile

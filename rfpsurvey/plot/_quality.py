@@ -6,24 +6,21 @@ import astropy.units as u
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
+from rfpsurvey._descriptions import OUTCOMES_COLUMNS
 from rfpsurvey._roles import has_role
 from rfpsurvey.allocation import Requirement
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
 from rfpsurvey.pipeline import Outcome
-from rfpsurvey.plot._axes import PAD, labeled, legend_below, values_of
-from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
-from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS
-from rfpsurvey.plot._names import short_names
+from rfpsurvey.plot._axes import labeled, legend_below, legend_line, new_figure, values_of
+from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS, by_name, short_names, stacked_bars
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
 from rfpsurvey.plot._survey_quality import class_rows, draw_survey_quality
 from rfpsurvey.plot._targets import codes_of, outcomes_of
 from rfpsurvey.survey import Survey
-from rfpsurvey.tile import OUTCOMES_COLUMNS, Tile
+from rfpsurvey.tile import Tile
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
@@ -130,18 +127,12 @@ def plot_quality(
 def _four_axes(given, n_rows):
     """Return the given axes, or four axes of a new figure; raise an error if the number of given axes is not four."""
     if given is None:
-        return _new_axes(n_rows)
+        heights = 1.7 + 0.24 * max(n_rows, 6), 3.4
+        figure = new_figure(11, sum(heights), wspace=0.03, hspace=0.03)
+        given = figure.subplots(2, 2, height_ratios=heights).ravel()
     if len(given) != 4:
         raise InputError(f"axes must be four Axes, got {len(given)}")
     return tuple(given)
-
-
-def _new_axes(n_rows):
-    """Return four axes of a new figure."""
-    heights = 1.7 + 0.24 * max(n_rows, 6), 3.4
-    figure = Figure(figsize=(11, sum(heights)), layout="constrained")
-    figure.get_layout_engine().set(w_pad=PAD, h_pad=PAD, wspace=0.03, hspace=0.03)
-    return tuple(figure.subplots(2, 2, height_ratios=heights).ravel())
 
 
 def _column_of(table, name) -> str | None:
@@ -176,13 +167,8 @@ def _draw_classes(ax, completeness, kwargs):
         (reach - assigned, "in reach not assigned", {"color": PATROL}),
         (total - reach, "out of reach, or not requested", {"color": FADED, "alpha": 0.5}),
     )
-    labels = short_names([class_label(row) for row in by_name(rows)])
-    stacked_bars(ax, y, total, pieces, labels, observed, kwargs)
-    label = "fraction of the targets in the field"
-    if len(rows) < len(completeness):
-        left_out = number_of(len(completeness) - len(rows), "more class", "more classes")
-        label += f"; {left_out} not shown"
-    ax.set_xlabel(label, fontsize="small" if len(rows) < len(completeness) else None)
+    label, left_out = "fraction of the targets in the field", len(completeness) - len(rows)
+    stacked_bars(ax, y, rows, total, observed, pieces, kwargs, label=label, left_out=left_out)
 
 
 GROUPS = ("category", "priority")
@@ -253,14 +239,12 @@ def _draw_fibers(ax, tile):
     handles += [] if lost is None else [lost]
     if required:
         label = "required" + ("" if len(names) == 1 else " per spectrograph")
-        handles.append(Line2D([], [], color=OUTLINE, linestyle="--", linewidth=1.2, label=label))
+        handles.append(legend_line(label, color=OUTLINE, linestyle="--", linewidth=1.2))
     ax.set_xticks(np.arange(len(names)), [] if one else [str(name) for name in names], fontsize="small")
-    ax.set_xlabel("all positioners" if one else "spectrograph")
-    ax.set_ylabel("fibers")
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
-    ax.set_xlim(-0.6, len(names) - 0.4)
     highest = max([*required, *(bar.get_y() + bar.get_height() for bar in ax.patches), 1])
-    ax.set_ylim(0, 1.08 * highest)
+    label = "all positioners" if one else "spectrograph"
+    ax.set(xlim=(-0.6, len(names) - 0.4), ylim=(0, 1.08 * highest), xlabel=label, ylabel="fibers")
     letters = sum(len(handle.get_label()) for handle in handles)
     legend_below(ax, handles, columns=3 if len(handles) == 3 and letters <= LONGEST else 2)
 
@@ -289,23 +273,18 @@ def _draw_histogram(ax, table, name, assigned):
     for rows, words, color in ((known, "available", FADED), (known & assigned, "assigned", ARM)):
         ax.hist(values[rows], **look, facecolor=color, edgecolor="none", alpha=0.5 if rows is known else 0.9)
         ax.hist(values[rows], **{**look, "histtype": "step"}, edgecolor=OUTLINE, linewidth=0.8)
-        handles.append(_patch(color, 0.5 if rows is known else 0.9, f"{words}: {np.count_nonzero(rows)}"))
+        style = {"edgecolor": OUTLINE, "linewidth": 0.8, "label": f"{words}: {np.count_nonzero(rows)}"}
+        handles.append(Patch(facecolor=to_rgba(color, 0.5 if rows is known else 0.9), **style))
     if np.count_nonzero(known) > UNEVEN * max(np.count_nonzero(known & assigned), 1):
         ax.set_yscale("log")
         ax.set_ylim(bottom=0.7)
-    ax.set_xlabel(label)
-    ax.set_ylabel("number of science targets")
+    ax.set(xlabel=label, ylabel="number of science targets")
     legend_below(ax, handles)
 
 
 def _spans_decades(values, positive) -> bool:
     """Return whether most values are positive, and bins of equal width would put most values into the first bin."""
     return 2 * len(positive) > len(values) and positive.max() > DECADES * np.median(positive)
-
-
-def _patch(color, alpha, label):
-
-    return Patch(facecolor=to_rgba(color, alpha), edgecolor=OUTLINE, linewidth=0.8, label=label)
 
 
 def _draw_radius(ax, table, outcome):
@@ -327,12 +306,9 @@ def _draw_radius(ax, table, outcome):
         value, bars = _fraction(np.bincount(ring[rows], minlength=n_rings)[some], number[some])
         style = {"color": color, "marker": MARKERS[1 - k], "markersize": 4, "linewidth": 1.2, "capsize": 2}
         handles.append(ax.errorbar(x, value, bars, label=label, linestyle=":" if k == 0 else "-", **style))
-    ax.set_xlim(0, (1.03 if len(x) > 1 else 2.0) * edges[-1] or 1.0)
-    ax.set_ylim(0, 1.05)
-    ax.set_xlabel("distance from the center of the focal plane [mm]")
-    ax.set_ylabel("fraction of science targets")
+    limits = {"xlim": (0, (1.03 if len(x) > 1 else 2.0) * edges[-1] or 1.0), "ylim": (0, 1.05), "axisbelow": True}
+    ax.set(**limits, xlabel="distance from the center of the focal plane [mm]", ylabel="fraction of science targets")
     ax.grid(color="0.9", linewidth=0.6)
-    ax.set_axisbelow(True)
     legend_below(ax, handles)
 
 

@@ -1,4 +1,4 @@
-"""Plot of tiles on the sky, and functions that draw fields, targets and regions."""
+"""Plots of tiles on the sky, and functions that draw fields, targets and regions."""
 
 import astropy.units as u
 import numpy as np
@@ -7,11 +7,12 @@ from astropy.table import QTable
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import BoundaryNorm
+from matplotlib.figure import Figure
 
 from rfpsurvey._units import to_direction, to_scalar
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
-from rfpsurvey.plot._axes import legend_below, legend_line, new_axes
+from rfpsurvey.plot._axes import WIDTH, legend_below, legend_line, new_axes, new_figure
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
 from rfpsurvey.region import Region
@@ -90,11 +91,7 @@ def plot_tiling(
     numbers = [name for name in table.colnames if np.asarray(table[name]).dtype.kind in "iufb"]
     if color not in numbers:
         raise InputError(f"color must be a column of numbers ({listed(numbers)}), got {color!r}")
-    if not (region is None or isinstance(region, Region)):
-        raise InputTypeError(f"region must be a Region, got {type(region).__name__}")
-    if targets is not None:
-        coord = targets.coord if isinstance(targets, Catalog) else targets
-        targets = to_direction(coord, "targets").reshape(-1).icrs
+    targets = _checked(targets, region)
     radius = radius_of(tiles) if radius is None else to_scalar(radius, u.deg, "radius", low=0, high=90)
     centers, values = SkyCoord(table["ra"], table["dec"]), np.asarray(table[color], dtype=float)
     levels = np.unique(values[np.isfinite(values)])
@@ -111,6 +108,15 @@ def plot_tiling(
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(number_of(len(table), "tile") + only, pad=14 if whole else None)
     return ax
+
+
+def _checked(targets, region) -> SkyCoord | None:
+    """Return the directions of targets; raise an error if the targets or the region have a wrong type."""
+    if not (region is None or isinstance(region, Region)):
+        raise InputTypeError(f"region must be a Region, got {type(region).__name__}")
+    if targets is None:
+        return None
+    return to_direction(targets.coord if isinstance(targets, Catalog) else targets, "targets").reshape(-1).icrs
 
 
 def radius_of(tiles: Tiling | Survey) -> float:
@@ -171,8 +177,7 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
     drawn = PolyCollection(polygons, array=values, **{**style, **kwargs})
     ax.add_collection(drawn, autolim=not whole)
     if not whole:
-        closed = np.concatenate([rims, rims[:, :1]], axis=1)
-        ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3))
+        draw_rims(ax, rims, zorder=2)
         ax.autoscale_view()
         ax.xaxis.set_inverted(True)
     if len(levels) > 1:
@@ -180,6 +185,12 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
         if steps:
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
+
+
+def draw_rims(ax: Axes, rims: np.ndarray, zorder: float) -> None:
+    """Draw the edges of fields."""
+    closed = np.concatenate([rims, rims[:, :1]], axis=1)
+    ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3, zorder=zorder))
 
 
 def _entry_of_fields():
@@ -203,3 +214,81 @@ def draw_field(ax, sky_map: SkyMap, targets, region):
         if sky_map.kind != "whole":  # maps of the whole sky have fixed limits
             ax.set(xlim=limits[0], ylim=limits[1])
         yield legend_line(markersize=3, label=number_of(len(targets), "target"), **style)
+
+
+MOST_PANELS = 8
+WIDE = 1.6
+"""Panels with a larger ratio of width to height are arranged in one column, and all other panels in two columns."""
+
+
+def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, region: Region | None = None) -> Figure:
+    """Plot the tiles of each pass in a separate panel; all panels show the same part of the sky.
+
+    Tilings with one pass or with more than eight passes are plotted in one panel, with `plot_tiling`.
+
+    Parameters
+    ----------
+    tiling : Tiling
+        Tiling to plot.
+    targets : Catalog or SkyCoord, optional
+        Targets to draw as dots.
+    region : Region, optional
+        Region whose border is drawn.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    InputError
+        If there are no tiles, or if ``targets`` or ``region`` has a wrong type.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> tiling = rs.place_tiles(rs.Region.parse("box 100 120 20 30"), "lamost", passes=2)
+    >>> [ax.get_title() for ax in rs.plot.draw_tiling(tiling).axes]
+    ['pass 1: 23 tiles', 'pass 2: 22 tiles']
+    """
+    if not isinstance(tiling, Tiling):
+        raise InputTypeError(f"tiling must be a Tiling, got {type(tiling).__name__}")
+    number = np.asarray(tiling.table["pass"])
+    passes = np.unique(number)
+    if not 1 < len(passes) <= MOST_PANELS:
+        return plot_tiling(tiling, targets=targets, region=region).figure
+    targets = _checked(targets, region)
+    radius = radius_of(tiling)
+    centers = SkyCoord(tiling.table["ra"], tiling.table["dec"])
+    whole = is_wide(centers, radius)
+    sky_map = map_of(centers, radius, whole=whole)
+    low, high = (0, 0), (2, 1)
+    if not whole:
+        lines = [] if region is None else outline_of_region(region, sky_map)
+        points = np.vstack([sky_map.to_xy(rims_of(centers, radius)).reshape(-1, 2), *lines])
+        low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
+    size = np.subtract(high, low) * (1, sky_map.aspect)
+    columns = 1 if size[0] > WIDE * size[1] and not whole else 2
+    rows = -(-len(passes) // columns)
+    wide = WIDTH / columns
+    tall = float(np.clip((wide - 0.8) * size[1] / size[0], 1.0, 1.6 * WIDTH / columns))
+    legend = 0.0 if targets is None and region is None else 0.3
+    figure = new_figure(WIDTH, rows * (tall + 0.6) + 0.2 + legend)
+    for k, one in enumerate(passes):
+        ax = figure.add_subplot(rows, columns, k + 1, projection="aitoff" if whole else None)
+        sky_map.label(ax)
+        table = tiling.table[number == one]
+        draw_tiles(ax, sky_map, table, radius, "pass", {})
+        if not whole:
+            sky_map.show(ax, low, high)
+            if k + columns < len(passes):
+                ax.set_xlabel("")
+            if k % columns:
+                ax.set_ylabel("")
+        handles = list(draw_field(ax, sky_map, targets, region))
+        words = f"pass {one}: {len(table)} tile{'' if len(table) == 1 else 's'}"
+        ax.set_title(words, pad=12 if whole else None, fontsize="medium")
+    if handles:
+        figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small", frameon=False)
+    return figure

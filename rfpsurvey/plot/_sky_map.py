@@ -15,6 +15,7 @@ CORNERS, MOST_CORNERS = 36, 7200
 there are few fields, each edge has more points, so that large circles look round."""
 WIDE = 60.0  # deg; the map shows the whole sky if fields extend farther from the mean direction
 POLAR = 75.0  # deg; the axes are offsets if fields extend to a larger absolute declination
+MARGIN = 0.03  # width of the margins of a map, as a fraction of its extent
 GRID = 400  # points along each axis, for the outlines of HEALPix pixels
 
 
@@ -54,6 +55,12 @@ class SkyMap:
         else:
             where = f"{self.center.ra.deg:.1f} {self.center.dec.deg:+.1f}"
             ax.set(aspect=self.aspect, xlabel=f"east of {where} [deg]", ylabel=f"north of {where} [deg]")
+
+    def show(self, ax, low: np.ndarray, high: np.ndarray) -> None:
+        """Set the limits of the axes, with margins, and with east to the left; maps of the whole sky do not change."""
+        margin = MARGIN * np.subtract(high, low)
+        if self.kind != "whole":
+            ax.set(xlim=(high[0] + margin[0], low[0] - margin[0]), ylim=(low[1] - margin[1], high[1] + margin[1]))
 
 
 def map_of(centers: SkyCoord, radius: float, *, whole: bool) -> SkyMap:

@@ -67,12 +67,8 @@ def plot_speed_accuracy(table: QTable, *, axes: tuple[Axes, Axes] | None = None,
         labels.append(_draw_methods(ax, table, values, limits, uncertain, kwargs))
         ax.set_ylabel(label)
     n = int(np.max(table["n_colliding_true"], initial=0))
-    _state(
-        axes[0],
-        table,
-        f"{n} colliding pairs",
-        "labels: points per arm; bars: standard errors\narrows: upper limits for results without misclassified pairs",
-    )
+    words = "bars: standard errors\narrows: upper limits for results without misclassified pairs"
+    _state(axes[0], table, f"{n} colliding pairs", f"labels: points per arm; {words}")
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
     for ax, own in zip(axes, labels, strict=True):
@@ -211,9 +207,8 @@ def _state(ax, table, number, legend, *, figure=False):
     meta = table.meta
     machine = f"{meta['machine']}; " if "machine" in meta else ""
     first = f"{meta.get('instrument', '')}: {meta.get('n_positioners', '?')} positioners, {number}"
-    (ax.figure.suptitle if figure else ax.set_title)(
-        f"{first}\n{legend}\n{machine}lower left is better", fontsize="small"
-    )
+    write = ax.figure.suptitle if figure else ax.set_title
+    write(f"{first}\n{legend}\n{machine}lower left is better", fontsize="small")
 
 
 def _label(ax, points):

@@ -8,9 +8,7 @@ from rfpsurvey._roles import JOINED
 from rfpsurvey.errors import number_of
 from rfpsurvey.pipeline import OUTCOMES, Outcome
 from rfpsurvey.plot._axes import legend_below, legend_line
-from rfpsurvey.plot._bars import by_name, class_label, stacked_bars
-from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS
-from rfpsurvey.plot._names import short_names
+from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS, by_name, stacked_bars
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
 from rfpsurvey.survey import Survey
 
@@ -68,14 +66,10 @@ def _draw_visits(ax, survey, kwargs):
         pieces.append((after - before, words, {"color": color}))
         before = after
     pieces.append((wanted - observed, "not observed", {"color": FADED, "alpha": 0.5}))
-    names = by_name(rows)
-    groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in names]
+    groups = [2 if row["priority"] != "all" else int(row.get("category", "all") != "all") for row in by_name(rows)]
     y = -np.arange(len(rows)) - 0.4 * np.cumsum(np.diff(groups, prepend=0) != 0)
-    labels = short_names([class_label(row) for row in names])
-    stacked_bars(ax, y, wanted, tuple(pieces), labels, observed, kwargs, columns=3)
     label, left_out = "fraction of the requested visits", len(_after(survey, -1)) - len(rows)
-    label += f"; {number_of(left_out, 'more class', 'more classes')} not shown" if left_out else ""
-    ax.set_xlabel(label, fontsize="small" if left_out else None)
+    stacked_bars(ax, y, rows, wanted, observed, pieces, kwargs, label=label, left_out=left_out, columns=3)
 
 
 def _draw_outcomes(ax, survey):
@@ -92,9 +86,8 @@ def _draw_outcomes(ax, survey):
         ax.annotate(text, (n, place), (4, 0), textcoords="offset points", va="center", fontsize="small")
     ax.set_yticks(y, list(counts), fontsize="small")
     around = 0.6 + max(4 - len(counts), 0) / 2
-    ax.set_ylim(y.min(initial=0) - around, around)
-    ax.set_xlim(0, 1.35 * max(counts.values(), default=1))  # make room for the numbers
-    ax.set_xlabel("number of targets of the catalog")
+    room = 1.35 * max(counts.values(), default=1)  # for the numbers
+    ax.set(xlim=(0, room), ylim=(y.min(initial=0) - around, around), xlabel="number of targets of the catalog")
 
 
 def _draw_fibers(ax, survey):
@@ -126,9 +119,7 @@ def _draw_fibers(ax, survey):
     step = -(-len(passes) // MOST_ROWS)
     ax.set_xticks(np.arange(len(passes))[::step], [str(p) for p in passes[::step]], fontsize="small")
     around = 0.6 + max(4 - len(passes), 0) / 2
-    ax.set_xlim(-around, len(passes) - 1 + around)
-    ax.set_xlabel("pass")
-    ax.set_ylabel("fibers, all tiles of the pass")
+    ax.set(xlim=(-around, len(passes) - 1 + around), xlabel="pass", ylabel="fibers, all tiles of the pass")
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     legend_below(ax, handles, columns=2)
 
@@ -154,11 +145,8 @@ def _draw_tiles(ax, survey):
         ax.plot(x, values[order], **style)
         text = f"{label} (all tiles together: {total:.3f})"
         handles.append(legend_line(text, color=color, marker=marker, linestyle="none", markersize=5))
-    ax.set_xlim(0.5, len(tiles) + 0.5)
-    ax.set_ylim(0, 1.02)
+    labels = {"xlabel": "tiles, in the order of planning", "ylabel": "fraction"}
+    ax.set(xlim=(0.5, len(tiles) + 0.5), ylim=(0, 1.02), axisbelow=True, **labels)
     ax.xaxis.set_major_locator(MaxNLocator(8, integer=True, min_n_ticks=1))
-    ax.set_xlabel("tiles, in the order of planning")
-    ax.set_ylabel("fraction")
     ax.grid(axis="y", color="0.9", linewidth=0.6)
-    ax.set_axisbelow(True)
     legend_below(ax, handles, columns=1)

@@ -3,20 +3,18 @@
 import numpy as np
 from astropy.coordinates import SkyCoord
 from matplotlib.axes import Axes
-from matplotlib.collections import LineCollection
 
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plot._axes import legend_below, new_axes
 from rfpsurvey.plot._classes import ASSIGNED, COLORINGS, draw_layers, layers_of, legend_options
-from rfpsurvey.plot._sky import radius_of
+from rfpsurvey.plot._sky import draw_rims, radius_of
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, rims_of
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile
 
 LARGEST = 6.2  # inches: longer side of the axes
-MARGIN = 0.03  # empty margin, as a fraction of the extent of the targets
 SMALLEST, NARROWEST = 0.1, 0.1
 """Smallest extent of the axes in deg, and smallest ratio of the shorter side to the longer side."""
 ROW = 0.23  # inches, height of a row of the legend
@@ -100,9 +98,10 @@ def plot_targets(
     options = legend_options(color, labels)
     if ax is None:
         ax = _new_axes(sky_map, xy, rims, -(-len(labels) // options["columns"]) + 1)
-    _set_limits(ax, sky_map, xy, rims)
+    sky_map.label(ax)
+    sky_map.show(ax, *_extent(xy, rims))
     if rims is not None:
-        _draw_fields(ax, rims)
+        draw_rims(ax, rims, zorder=4)
     legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **options)
     name, done = result.provenance["instrument"]["name"], np.isin(outcome, ASSIGNED).sum()
     ax.set_title(f"{name}: {done} of {len(xy)} targets assigned", pad=14 if sky_map.kind == "whole" else None)
@@ -166,20 +165,3 @@ def _new_axes(sky_map, xy, rims, rows):
     ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
     ax.set_anchor("N")  # the remaining height is for the legend
     return ax
-
-
-def _set_limits(ax, sky_map, xy, rims):
-    """Label the axes, and show all targets and fields, with east to the left."""
-    sky_map.label(ax)
-    if sky_map.kind == "whole":
-        return
-    low, high = _extent(xy, rims)
-    margin = MARGIN * (high - low)
-    ax.set_xlim(high[0] + margin[0], low[0] - margin[0])
-    ax.set_ylim(low[1] - margin[1], high[1] + margin[1])
-
-
-def _draw_fields(ax, rims):
-
-    closed = np.concatenate([rims, rims[:, :1]], axis=1)
-    ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3, zorder=4))

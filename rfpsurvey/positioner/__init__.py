@@ -1,8 +1,15 @@
 """A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
 from rfpsurvey.positioner._division import divide_polygon
-from rfpsurvey.positioner._numbers import PositionerNumbers
-from rfpsurvey.positioner._outline import ArmOutline, convex_polygon, make_outline, with_normals
+from rfpsurvey.positioner._numbers import PositionerNumbers, within_limits
+from rfpsurvey.positioner._outline import (
+    ArmOutline,
+    convex_hull,
+    convex_polygon,
+    make_outline,
+    orientation,
+    with_normals,
+)
 from rfpsurvey.positioner._positioner import ARM_MODELS, HANDEDNESS, Positioner
 
 __all__ = [
@@ -11,8 +18,11 @@ __all__ = [
     "ArmOutline",
     "Positioner",
     "PositionerNumbers",
+    "convex_hull",
     "convex_polygon",
     "divide_polygon",
     "make_outline",
+    "orientation",
     "with_normals",
+    "within_limits",
 ]

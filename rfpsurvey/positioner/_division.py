@@ -98,8 +98,7 @@ def _merged(xy, parts) -> list[list[int]]:
     k = 0
     while k < len(parts):
         for j in range(k + 1, len(parts)):
-            union = _union(xy, parts[k], parts[j])
-            if union:
+            if union := _union(xy, parts[k], parts[j]):
                 parts[k] = union
                 del parts[j]
                 break

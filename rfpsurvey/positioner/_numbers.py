@@ -62,22 +62,24 @@ class PositionerNumbers:
         self.separation = float(moved + 2 * self.clearance)
 
     @cached_property
+    def limits(self) -> np.ndarray:
+        """Lower and upper joint limits of theta and of phi in radians, shape (2, 2); infinite without a limit."""
+        ranges = self.positioner.theta_range, self.positioner.phi_range
+        return np.array([(-np.inf, np.inf) if one is None else to_radian(one, "joint limits") for one in ranges])
+
+    @cached_property
     def home(self) -> np.ndarray:
         if self.positioner.home is not None:
             return locked(to_radian(self.positioner.home, "home"))
         home = np.array([0.0, np.pi])
-        for k, limits in enumerate((self.positioner.theta_range, self.positioner.phi_range)):
-            if limits is not None and not _allowed(home[k : k + 1], *to_radian(limits, "limits"))[0]:
-                ends = to_radian(limits, "limits")
+        for k, ends in enumerate(self.limits):
+            if not within_limits(home[k], *ends):
                 home[k] = ends[np.argmin(np.abs(np.mod(ends - home[k] + np.pi, 2 * np.pi) - np.pi))]
         return locked(home)
 
     def joints_allowed(self, theta: np.ndarray, phi: np.ndarray) -> np.ndarray:
         """Return whether joint angles are within the joint limits."""
-        limits, positioner = [], self.positioner
-        for value, name in ((positioner.theta_range, "theta_range"), (positioner.phi_range, "phi_range")):
-            limits += [-np.inf, np.inf] if value is None else list(to_radian(value, name))
-        return _allowed(theta, *limits[:2]) & _allowed(phi, *limits[2:])
+        return within_limits(theta, *self.limits[0]) & within_limits(phi, *self.limits[1])
 
     @cached_property
     def joints_free(self) -> bool:
@@ -121,9 +123,10 @@ class PositionerNumbers:
         return self._arm_angles[fiber_types]
 
 
-def _allowed(angle, low, high):
+def within_limits(angle: np.ndarray, low: np.ndarray | float, high: np.ndarray | float) -> np.ndarray:
     """Return whether angles are in the interval [low, high], modulo 360 deg."""
-    if np.isinf(low) or high - low >= 2 * np.pi:
+    free = np.isinf(low) | (high - low >= 2 * np.pi)
+    if np.all(free):
         return ~np.isnan(angle)
     with np.errstate(invalid="ignore"):
-        return np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12
+        return np.where(free, ~np.isnan(angle), np.mod(angle - low + 1e-12, 2 * np.pi) <= high - low + 2e-12)

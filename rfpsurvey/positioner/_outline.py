@@ -248,16 +248,7 @@ def _to_part(part, name):
 
 def _hull(points):
     """Return the vertices of the exact convex hull in counter-clockwise order; merge vertices closer than ``SAME``."""
-    ordered = [(Fraction(x), Fraction(y)) for x, y in points[np.lexsort(points.T[::-1])].tolist()]
-    kept = []
-    for run in (ordered, ordered[::-1]):
-        chain = []
-        for point in run:
-            while len(chain) > 1 and _bend(chain[-2], chain[-1], point) <= 0:
-                chain.pop()
-            chain.append(point)
-        kept += chain[:-1]
-    hull = np.array(kept or ordered[:1], dtype=float)
+    hull = np.array(convex_hull([(Fraction(x), Fraction(y)) for x, y in points.tolist()]), dtype=float)
     while len(hull) > 1:
         gaps = np.hypot(*(np.roll(hull, -1, axis=0) - hull).T)
         if gaps.min() > SAME:
@@ -266,8 +257,21 @@ def _hull(points):
     return hull
 
 
-def _bend(a, b, p):
-    """Return twice the signed area of the triangle a, b, p."""
+def convex_hull(points: list[tuple]) -> list[tuple]:
+    """Return the vertices of the convex hull in counter-clockwise order, without vertices on straight edges."""
+    hull, ordered = [], sorted(set(points))
+    for run in (ordered, ordered[::-1]):
+        chain = []
+        for point in run:
+            while len(chain) > 1 and orientation(chain[-2], chain[-1], point) <= 0:
+                chain.pop()
+            chain.append(point)
+        hull += chain[:-1]
+    return hull or ordered
+
+
+def orientation(a: tuple, b: tuple, p: tuple) -> Fraction | int:
+    """Return twice the signed area of the triangle a, b, p, exactly for exact coordinates."""
     return (b[0] - a[0]) * (p[1] - a[1]) - (b[1] - a[1]) * (p[0] - a[0])
 
 

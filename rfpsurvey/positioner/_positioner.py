@@ -1,14 +1,15 @@
 """A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, partial
 
 import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import arms
-from rfpsurvey._units import ByValue, to_points_mm, to_radian, to_scalar
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, short
+from rfpsurvey._settings import Checked, option
+from rfpsurvey._units import ByValue, to_points_mm, to_radian
+from rfpsurvey.errors import InputError, check_choice, check_keywords
 from rfpsurvey.positioner._numbers import PositionerNumbers
 from rfpsurvey.positioner._outline import ArmOutline
 
@@ -16,9 +17,16 @@ HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip", "outline")
 
 
+def _two_angles(value: u.Quantity, name: str) -> u.Quantity:
+    """Return two angles after their check."""
+    if not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):
+        raise InputError(f"{name} must be two finite angles, got {value}")
+    return value
+
+
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Positioner(ByValue):
+class Positioner(Checked, ByValue):
     """A theta-phi fiber positioner with two arms.
 
     The central arm rotates by theta around the center, counter-clockwise from +x. The eccentric arm rotates by phi
@@ -83,49 +91,31 @@ class Positioner(ByValue):
     <Quantity [[15., 10.]] mm>
     """
 
-    central_arm: u.Quantity
-    eccentric_arm: u.Quantity
-    clearance: u.Quantity
-    step: u.Quantity = field(default=0 * u.deg)
-    handedness: str = "right"
-    theta_range: u.Quantity | None = None
-    phi_range: u.Quantity | None = None
-    home: u.Quantity | None = None
-    displacement: u.Quantity | None = None
-    arm_model: str = "elbow_to_tip"
-    arm_length: u.Quantity | None = None
-    arm_angle: u.Quantity | dict[str, u.Quantity] | None = None
-    outline: ArmOutline | None = None
+    central_arm: u.Quantity[u.mm] = option(above=0, below=1e6)
+    eccentric_arm: u.Quantity[u.mm] = option(above=0, below=1e6)
+    clearance: u.Quantity[u.mm] = option(low=0, below=1e6)
+    step: u.Quantity[u.rad] = option(0 * u.deg, low=0, below=np.pi / 4)
+    handedness: str = option("right", choices=HANDEDNESS)
+    theta_range: u.Quantity | None = option(None, convert=partial(_two_angles, name="theta_range"))
+    phi_range: u.Quantity | None = option(None, convert=partial(_two_angles, name="phi_range"))
+    home: u.Quantity | None = option(None, convert=partial(_two_angles, name="home"))
+    displacement: u.Quantity[u.mm] | None = option(None, low=0, below=1e6)
+    arm_model: str = option("elbow_to_tip", choices=ARM_MODELS, what="arm model")
+    arm_length: u.Quantity[u.mm] | None = option(None, low=0, below=1e6)
+    arm_angle: u.Quantity[u.rad] | dict[str, u.Quantity[u.rad]] | None = None
+    outline: ArmOutline | None = option(None, words="an ArmOutline")
 
-    def __post_init__(self):
-        for name in ("central_arm", "eccentric_arm"):
-            to_scalar(getattr(self, name), u.mm, name, low=0, high=1e6)
-        for name in ("clearance", "displacement", "arm_length"):
-            if getattr(self, name) is not None:
-                to_scalar(getattr(self, name), u.mm, name, low=0, high=1e6, closed=True)
-        to_scalar(self.step, u.rad, "step", low=0, high=np.pi / 4, closed=True)
-        check_choice(self.handedness, HANDEDNESS, "handedness")
-        check_choice(self.arm_model, ARM_MODELS, "arm model")
+    def _check(self) -> None:
         if (self.arm_model == "capsule") != (self.arm_length is not None):
             raise InputError("arm_length must be given for the arm model 'capsule', and only for this model")
-        if self.outline is not None and not isinstance(self.outline, ArmOutline):
-            raise InputTypeError(f"outline must be an ArmOutline, got {short(self.outline)}")
         if (self.arm_model == "outline") != (self.outline is not None):
             raise InputError("outline must be given for the arm model 'outline', and only for this model")
         if self.arm_model not in ("capsule", "outline") and self.arm_angle is not None:
             raise InputError("arm_angle must be given only for the arm models 'capsule' and 'outline'")
-        for name in ("theta_range", "phi_range", "home"):
-            value = getattr(self, name)
-            if value is not None and not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):
-                raise InputError(f"{name} must be two finite angles, got {value}")
         for name in ("theta_range", "phi_range"):
             value = getattr(self, name)
             if value is not None and not value[0] < value[1]:
                 raise InputError(f"{name} must be (low, high) with low < high, got {value}")
-        angles = self.arm_angle.values() if isinstance(self.arm_angle, dict) else [self.arm_angle]
-        for value in angles:
-            if value is not None:
-                to_scalar(value, u.rad, "arm_angle")
         if self.home is not None and not self.numbers.joints_allowed(*self.numbers.home[:, None])[0]:
             raise InputError(f"home must lie within the joint limits, got {self.home}")
 
@@ -138,7 +128,7 @@ class Positioner(ByValue):
         return f"<Positioner: {', '.join(parts)}>"
 
     @cached_property
-    def numbers(self) -> "PositionerNumbers":
+    def numbers(self) -> PositionerNumbers:
         """The geometry as numbers without units, in mm and radians (``PositionerNumbers``)."""
         return PositionerNumbers(self)
 

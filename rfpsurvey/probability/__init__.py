@@ -1,11 +1,10 @@
 """Estimates of collision probabilities by several methods."""
 
 from rfpsurvey.probability._collision_probability import collision_probability
-from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._methods import METHODS
 from rfpsurvey.probability._options import Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
-from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._question import Estimate, ProbabilityQuestion
 from rfpsurvey.probability._run import rate_interval
 from rfpsurvey.probability._simulate import QUEUEING
 from rfpsurvey.probability._surrogate import (

@@ -2,8 +2,7 @@
 
 from collections.abc import Callable
 from concurrent.futures import Executor
-from dataclasses import fields, replace
-from numbers import Number
+from dataclasses import replace
 from time import perf_counter
 
 import astropy.units as u
@@ -11,15 +10,9 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 
 from rfpsurvey._methods import describe_methods
+from rfpsurvey._settings import Option, number_within, options_of
 from rfpsurvey._units import is_seed_given, to_spawner
-from rfpsurvey.allocation import (
-    Allocation,
-    AllocationOptions,
-    as_options,
-    given_options,
-    packages,
-    warn_of_unused_options,
-)
+from rfpsurvey.allocation import Allocation, AllocationOptions, as_options, packages, warn_of_unused_options
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import (
     InputError,
@@ -35,12 +28,11 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.probability._estimate import Estimate, with_dynamic
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, automatic, check_usable
 from rfpsurvey.probability._options import MOST_ITERATIONS, Precision, RandomTargets
 from rfpsurvey.probability._plugin import find_method
 from rfpsurvey.probability._quadrature import DENSITIES
-from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._question import Estimate, ProbabilityQuestion, with_dynamic
 from rfpsurvey.probability._simulate import QUEUEING
 from rfpsurvey.probability._targets import make_source
 
@@ -185,7 +177,9 @@ def collision_probability(
         )
     estimand = (estimand or "allocated") if chosen is None else chosen.estimand
     _check_density(density)
-    _check_numbers(dynamic=dynamic, most_entries=most_entries)
+    dynamic = float(number_within(dynamic, "dynamic", Option(low=0, below=1)))
+    if most_entries is not None:
+        check_whole(most_entries, "most_entries")
     if executor is not None and not isinstance(executor, Executor):
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     _check_science_only(options)
@@ -233,16 +227,16 @@ def collision_probability(
     estimate = Estimate(
         **found, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
     )
-    return with_dynamic(estimate, float(dynamic))
+    return with_dynamic(estimate, dynamic)
 
 
 def _warn_of_unused(method, options, precision, rng, given) -> None:
     """Issue a warning for each given option that the method does not use."""
     usual = {"targets": "uniform", "variant": "corrected"}
     names = [one for one, value in given.items() if not _is_usual(value, usual.get(one))]
-    if (options.allocator != QUEUEING or given_options(options)) and _is_usual(given["density"], None, str, Callable):
+    if (options.allocator != QUEUEING or options.changed()) and _is_usual(given["density"], None, str, Callable):
         names.append("allocator")
-    changed = [one.name for one in fields(precision) if getattr(precision, one.name) != one.default]
+    changed = [one.name for one in options_of(Precision) if not one.is_default(precision)]
     names += ["rng"] if is_seed_given(rng) else []
     names += dict.fromkeys(one if one in ("interval", "stop", "estimator") else "precision" for one in changed)
     warn_of_unused(names, [method], METHODS.values(), "method")
@@ -267,14 +261,6 @@ def _check_science_only(options):
             f"allocator must have no required targets and no other constraints, since a collision probability "
             f"describes random configurations, not one field, got {options!r}"
         )
-
-
-def _check_numbers(*, dynamic, most_entries):
-    """Raise an error if ``dynamic`` or ``most_entries`` is out of range."""
-    if not (isinstance(dynamic, int | float) and 0 <= dynamic < 1):
-        raise refusal("dynamic must be a number of at least 0 and below 1", dynamic, Number)
-    if most_entries is not None:
-        check_whole(most_entries, "most_entries")
 
 
 def _check_density(density):

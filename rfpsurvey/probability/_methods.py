@@ -10,12 +10,11 @@ from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._closed_form import close_pair, closed_form, overlap_ratio
-from rfpsurvey.probability._empirical import as_allocations, pool
 from rfpsurvey.probability._options import MOST_ITERATIONS
 from rfpsurvey.probability._quadrature import Quadrature, integrate
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._run import run, summarize
-from rfpsurvey.probability._simulate import merge
+from rfpsurvey.probability._simulate import as_allocations, merge, pool
 from rfpsurvey.probability._targets import Source
 
 SHORT = 2.0
@@ -88,7 +87,7 @@ def conditional(question: ProbabilityQuestion) -> dict:
 def _simulated(question: ProbabilityQuestion, task: Callable, chunk: int, *, once: bool = False) -> dict:
     if once:
         tallies = [task(1, question.rng)]
-        found = summarize(tallies, question.focal_plane, question.precision, question.rng, given=True)
+        found = summarize(tallies, question)
     else:
         tallies, found = run(question, task, chunk)
     trials = sum(tally.trials for tally in tallies)
@@ -105,15 +104,11 @@ def quadrature(question: ProbabilityQuestion) -> dict:
     allocations = as_allocations(question.density, question.focal_plane)
     if allocations is not None:
         tally = pool(question.focal_plane, allocations, parked_obstacles=question.parked_obstacles)
-        found = summarize([tally], question.focal_plane, question.precision, question.rng, given=True)
+        found = summarize([tally], question)
         n = int(np.mean([len(allocation.queues[1]) for allocation in allocations]))
         return _of_tallies([tally], found, n, {"density": "empirical", "n_allocations": len(allocations)})
-    density = question.density
     check_usable(question.focal_plane)
-    found = integrate(Quadrature(question.focal_plane, density), question)
-    environments = found.pop("n_environments")
-    name = density if isinstance(density, str) else "given"
-    return {**found, "value_assigned": found["value"], "meta": {"density": name, "environments": environments}}
+    return integrate(Quadrature(question.focal_plane, question.density), question)
 
 
 def _of_tallies(tallies, found, n, meta) -> dict:

@@ -1,13 +1,12 @@
 """Options of `collision_probability`: the random targets, and the precision to reach."""
 
-from dataclasses import dataclass, fields, replace
-from numbers import Number
+from dataclasses import dataclass, replace
 
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, refusal
+from rfpsurvey._settings import Settings, option
+from rfpsurvey.errors import InputError, check_keywords
 from rfpsurvey.probability._intervals import INTERVALS, quantile
 
 KINDS = ("uniform", "poisson", "poisson_disc")
@@ -19,8 +18,8 @@ MOST_ITERATIONS = 1_000_000
 
 
 @check_keywords
-@dataclass(frozen=True)
-class RandomTargets:
+@dataclass(frozen=True, eq=False, repr=False)
+class RandomTargets(Settings):
     """Random targets on the focal plane, which are drawn again for each realization.
 
     Parameters
@@ -58,33 +57,22 @@ class RandomTargets:
     <Quantity 1. mm>
     """
 
-    kind: str = "uniform"
-    number: float | None = None
-    radius: u.Quantity[u.mm] | None = None
-    min_separation: u.Quantity[u.mm] | None = None
+    kind: str = option("uniform", choices=KINDS, what="kind of targets")
+    number: float | None = option(None, low=0, high=MOST_TARGETS)
+    radius: u.Quantity[u.mm] | None = option(None, above=0, below=1e7)
+    min_separation: u.Quantity[u.mm] | None = option(None, above=0)
 
-    def __post_init__(self):
-        check_choice(self.kind, KINDS, "kind of targets")
-        number = self.number
-        if number is not None and not (isinstance(number, int | float | np.number) and 0 <= number <= MOST_TARGETS):
-            raise refusal(f"number must be a number from 0 to {MOST_TARGETS:.0e}", number, Number)
-        if self.radius is not None:
-            to_scalar(self.radius, u.mm, "radius", low=0, high=1e7)
+    def _check(self):
         if (self.kind == "poisson_disc") != (self.min_separation is not None):
             raise InputError(
                 f"min_separation must be given for the kind 'poisson_disc' and for no other kind, got "
                 f"{self.min_separation} for {self.kind!r}"
             )
-        if self.min_separation is not None:
-            to_scalar(self.min_separation, u.mm, "min_separation", low=0)
-
-    def __repr__(self):
-        return _short(self, repr(self.kind))
 
 
 @check_keywords
-@dataclass(frozen=True)
-class Precision:
+@dataclass(frozen=True, eq=False, repr=False)
+class Precision(Settings):
     """Options that state when iterations end, and how the confidence interval is computed.
 
     Parameters
@@ -133,27 +121,12 @@ class Precision:
     Precision(max_iterations=100)
     """
 
-    standard_error: float | None = None
-    max_iterations: int | None = None
-    confidence: float = 0.95
-    interval: str = "wilson"
-    stop: str = "interval"
-    estimator: str = "mean"
-
-    def __post_init__(self):
-        error, most = self.standard_error, self.max_iterations
-        if error is not None and not (isinstance(error, int | float | np.floating) and 0 < error < 1):
-            raise refusal("standard_error must be a number above 0 and below 1", error, Number)
-        if most is not None:
-            check_whole(most, "max_iterations")
-        if not (isinstance(self.confidence, int | float) and 0 < self.confidence < 1 - 1e-9):
-            raise refusal("confidence must be a number above 0 and below 1", self.confidence, Number)
-        check_choice(self.interval, INTERVALS, "interval")
-        check_choice(self.stop, STOPS, "stopping rule")
-        check_choice(self.estimator, ESTIMATORS, "estimator")
-
-    def __repr__(self):
-        return _short(self, *([] if self.standard_error is None else [repr(self.standard_error)]))
+    standard_error: float | None = option(None, above=0, below=1)
+    max_iterations: int | None = option(None, low=1)
+    confidence: float = option(0.95, above=0, below=1 - 1e-9)
+    interval: str = option("wilson", choices=INTERVALS)
+    stop: str = option("interval", choices=STOPS, what="stopping rule")
+    estimator: str = option("mean", choices=ESTIMATORS)
 
     @property
     def half_width(self) -> float:
@@ -182,13 +155,3 @@ class Precision:
         if powers_of_two:
             most = 2 ** int(np.log2(min(most, most_iterations)))
         return replace(self, max_iterations=most)
-
-
-def _short(options: object, *lead: str) -> str:
-    """Return the ``repr`` of an object with options.
-
-    The text contains ``lead``, which represents the first field, and all other fields that differ from their defaults.
-    """
-    rest = [(f, getattr(options, f.name)) for f in fields(options)[1:]]
-    changed = [f"{f.name}={v!r}" for f, v in rest if (v is not None if f.default is None else v != f.default)]
-    return f"{type(options).__name__}({', '.join([*lead, *changed])})"

@@ -9,10 +9,9 @@ import numpy as np
 from rfpsurvey._plugins import Plugin, find_function
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice
-from rfpsurvey.probability._estimate import Estimate
 from rfpsurvey.probability._intervals import effective_number, quantile, wilson
 from rfpsurvey.probability._methods import ESTIMANDS, METHODS, ProbabilityMethod, check_usable
-from rfpsurvey.probability._question import ProbabilityQuestion
+from rfpsurvey.probability._question import Estimate, ProbabilityQuestion
 
 GROUP = "rfpsurvey.probability_methods"
 ANSWERS = sorted({field.name for field in fields(Estimate)} - {"method", "estimand", "seconds"})

@@ -9,9 +9,15 @@ from rfpsurvey._executors import map_in_order
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
-from rfpsurvey.probability._one_sky import FEWEST_DEGREES, sky_variance
-from rfpsurvey.probability._options import Precision
+from rfpsurvey.probability._intervals import (
+    FEWEST_DEGREES,
+    INTERVALS,
+    converged,
+    effective_number,
+    quantile,
+    sky_variance,
+    wilson,
+)
 from rfpsurvey.probability._question import ProbabilityQuestion
 from rfpsurvey.probability._simulate import CollisionSums, merge
 
@@ -95,8 +101,7 @@ def run(
                     half.goal = min(max(one.enough for one in halves), half.limit)
         bar(1)
     tallies = [half.parts[0].first(other.enough) for half, other in zip(halves, halves[::-1], strict=True)]
-    summary = _summary(tallies, question)
-    return tallies, {**summary, "met": all(half.met for half in halves)}
+    return tallies, {**summarize(tallies, question), "met": all(half.met for half in halves)}
 
 
 def _apply_rule(half: _Half, question: ProbabilityQuestion, chunk: int, n_halves: int) -> float:
@@ -107,7 +112,7 @@ def _apply_rule(half: _Half, question: ProbabilityQuestion, chunk: int, n_halves
     precision, tally = question.precision, half.parts[0]
     wanted, error, more = precision.standard_error, np.nan, GROWTH * half.done
     if len(tally.rates()):  # otherwise, no positioner has been counted yet
-        summary = _summary([tally] * n_halves, question)
+        summary = summarize([tally] * n_halves, question)
         wide, error = summary["half_width"], summary["standard_error"]
         if precision.stop == "interval":
             floor = _fewest(tally, precision) / n_halves
@@ -136,23 +141,18 @@ def _fewest(tally, precision):
     return FLOOR / precision.standard_error * min(1.0, 2 / float(tally.colliding[:, 1].mean()))
 
 
-def _summary(tallies, question):
-    given = question.targets is not None and question.targets.kind == "given"
-    return summarize(tallies, question.focal_plane, question.precision, question.rng, given=given)
-
-
-def summarize(
-    tallies: list[CollisionSums], plane: FocalPlane, precision: Precision, rng: np.random.Generator, *, given: bool
-) -> dict:
+def summarize(tallies: list[CollisionSums], question: ProbabilityQuestion) -> dict:
     """Return the mean collision rate of one or two tallies, its confidence interval, standard error and half width.
 
     If there are two tallies, the mean rate is the mean of their mean rates, whatever their numbers of realizations.
-    The half width determines when iterations end: it contains only the error that more iterations reduce. If the
-    targets are given, or if all realizations have the same rate, the tally is treated as the result for one sky (one
+    The half width determines when iterations end: it contains only the error that more iterations reduce. If targets
+    or queues are given, or if all realizations have the same rate, the tally is treated as the result for one sky (one
     set of targets). The standard error then states how much the rate may differ from the mean over all skies with the
     same statistical properties. If the focal plane has too few positioners to estimate this error, there is no
     confidence interval, and ``no_interval`` states the reason.
     """
+    plane, precision = question.focal_plane, question.precision
+    given = question.targets is None or question.targets.kind == "given"
     parts, normal = [own for tally in tallies if len(own := tally.rates())], quantile(precision.confidence, np.inf)
     if not parts:
         raise InputError(
@@ -171,7 +171,7 @@ def summarize(
     number, low, high = effective_number(p, error, number), np.nan, np.nan
     if not np.isnan(error):
         low, high = INTERVALS["wilson" if one_sky else precision.interval](
-            parts, p, number, tally.trials, width, precision.confidence, rng
+            parts, p, number, tally.trials, width, precision.confidence, question.rng
         )
     # the error that more iterations reduce; it may differ from the error that is reported
     reducible = scatter if given or np.isnan(error) else error

@@ -5,12 +5,73 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._kernels import batch, simulate
+from rfpsurvey._kernels import arms, batch, queues, simulate
 from rfpsurvey.allocation import Allocation, AllocationOptions, TargetColumns, assign
-from rfpsurvey.collision import make_setup, make_workspace, queue_segments
+from rfpsurvey.collision import count_poses, count_tips, draw_poses, make_setup, queue_segments
+from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.probability._targets import Source
-from rfpsurvey.probability._workspace import make_entries, make_expected, make_positioners, make_realization
+
+
+def make_positioners(plane: FocalPlane, setup: batch.CollisionSetup) -> simulate.Positioners:
+    """Return the data that determine which targets each positioner reaches, and which poses its arms have.
+
+    Kernels that draw targets assume that joint limits do not restrict the patrol areas.
+    """
+    idle = setup.idle.copy()
+    arms.shape(idle, setup.model, setup.length, setup.cosine, setup.sine)
+    side = plane.arrays.sides(np.full((len(plane), 2), np.nan))
+    columns = (plane.arrays.annuli, plane.arrays.offers)
+    return simulate.Positioners(plane.arrays.geometry, side, *columns, plane.arrays.grid, idle)
+
+
+def make_realization(plane: FocalPlane, number: int, cells: int) -> simulate.Realization:
+    """Return the arrays to which kernels write one realization of at most ``number`` targets.
+
+    ``cells`` is the number of cells of the grid that `scatter_apart` uses.
+    """
+    n, pairs = len(plane), number * int(np.diff(plane.arrays.grid[5]).max())
+
+    def integers(size):
+        return np.empty(size, dtype=np.int64)
+
+    return simulate.Realization(
+        x=np.empty(number),
+        y=np.empty(number),
+        accepts=np.full(number, -1),
+        targets=np.arange(number),
+        indptr=integers(number + 1),
+        owner=integers(pairs),
+        r2=np.empty(pairs),
+        code=integers(pairs),
+        owner_of=integers(number),
+        length=integers(n),
+        queues=integers(n + 1),
+        queue=integers(number),
+        cells=np.empty((2, cells)),
+    )
+
+
+def make_entries(n: int, number: int) -> queues.Entries:
+    """Return arrays for the queues of n positioners with ``number`` targets in total; each target has the weight 1."""
+    size = number + n
+    return queues.Entries(
+        start=np.empty(n, dtype=np.int64),
+        stop=np.empty(n, dtype=np.int64),
+        segments=np.empty((4, size)),
+        halves=np.empty((4, size)),
+        weight=np.ones(size),
+        total=np.empty(n),
+        free=np.empty(size),
+        hit=np.zeros(size),
+        ahead=np.empty(size),
+    )
+
+
+def make_expected(n: int, n_pairs: int) -> queues.Expected:
+    """Return arrays for the probabilities of n positioners and of their pairs; the values of realizations are 0."""
+    return queues.Expected(np.empty(n), np.empty(n_pairs), np.zeros(n), np.zeros(n, dtype=np.int64))
+
 
 QUEUEING = "balanced"
 """The allocator whose queues define the estimand, unless the user chooses another one; kernels simulate this one."""
@@ -63,6 +124,11 @@ class CollisionSums:
         """Collision rate of each positioner in the realizations in which it is counted; NaN if it is never counted."""
         return np.where(self.counted > 0, self.times / np.maximum(self.counted, 1), np.nan)
 
+    @classmethod
+    def of(cls, sums: np.ndarray, expected: queues.Expected) -> "CollisionSums":
+        """Return the expected numbers that a kernel has computed."""
+        return cls(sums[:, :4], sums[:, 4], expected.times, expected.counted)
+
     @staticmethod
     def _ratio(part, whole):
         return part[whole > 0] / whole[whole > 0]
@@ -72,6 +138,14 @@ def merge(parts: list[CollisionSums]) -> CollisionSums:
     """Return one `CollisionSums` that contains the realizations of all ``parts``."""
     rows = (np.concatenate([getattr(p, name) for p in parts]) for name in ("colliding", "pairs"))
     return CollisionSums(*rows, sum(p.times for p in parts), sum(p.counted for p in parts))
+
+
+def expect_queues(plane: FocalPlane, setup, positioners, given: tuple, expected, sums: np.ndarray) -> None:
+    """Write the expected numbers of collisions to ``sums``; ``given`` is a result of `queue_segments`."""
+    indptr, segments = given
+    entries = make_entries(len(plane), segments.shape[1])
+    entries.segments[:, : segments.shape[1]] = segments
+    simulate.expect_given(indptr, plane.arrays.neighbors, positioners, setup, entries, expected, sums)
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,30 +165,22 @@ class Simulation:
 
     def draw(self, size: int, rng: np.random.Generator) -> CollisionSums:
         """Draw realizations, and return the numbers of collisions in one configuration of each realization."""
-        n = len(self.plane)
-        counts, counted = np.empty((size, batch.N_COUNTS), dtype=np.int64), np.zeros(n, dtype=np.int64)
-        hits, workspace = np.zeros(n, dtype=np.int64), make_workspace(self.plane)
+        n, plane, setup = len(self.plane), self.plane, self._setup
         if self.compiled:
-            numbers = self.source.numbers(size, rng)
-            realization = make_realization(self.plane, int(numbers.max()), self.source.grid_cells)
-            simulate.draw_and_count(
-                rng,
-                numbers,
-                self.source.sky,
-                self._positioners,
-                realization,
-                self._setup,
-                workspace,
-                counts,
-                hits,
-                counted,
-            )
+            numbers, tips = self.source.numbers(size, rng), np.empty((size, n, 2))
+            realization = make_realization(plane, int(numbers.max()), self.source.grid_cells)
+            simulate.draw_tips(rng, numbers, self.source.sky, self._positioners, realization, tips)
+            counts, hits, _ = count_tips(plane.arrays, setup, tips, self._positioners.side[None])
+            counted = np.count_nonzero((tips[:, :, 0] < np.inf) | setup.parked, axis=0)
         else:
+            counts = np.empty((size, batch.N_COUNTS), dtype=np.int64)
+            hits, counted = np.zeros((2, n), dtype=np.int64)
             for row in range(size):
                 indptr, segments = self._queue_segments(rng)
-                counted += (np.diff(indptr) > 0) | self._setup.parked
-                uniform, own = rng.random((1, n)), counts[row : row + 1]
-                batch.count_draws(uniform, indptr, segments, self._positioners.idle, self._setup, workspace, own, hits)
+                chosen = draw_poses(indptr, rng, 1)
+                given = chosen, segments, self._positioners.idle, hits[None]
+                counts[row : row + 1] = count_poses(plane, setup, *given)
+                counted += (chosen[0] >= 0) | setup.parked
         columns = [batch.COLLIDING, batch.COUNTED, batch.COLLIDING_ASSIGNED, batch.ASSIGNED]
         return CollisionSums(
             counts[:, columns].astype(float), counts[:, batch.PAIRS].astype(float), hits.astype(float), counted
@@ -129,26 +195,13 @@ class Simulation:
             numbers = self.source.numbers(size, rng)
             most = int(numbers.max())
             realization, entries = make_realization(self.plane, most, self.source.grid_cells), make_entries(n, most)
-            simulate.queue_and_expect(
-                rng,
-                numbers,
-                self._most,
-                self.source.sky,
-                self._positioners,
-                realization,
-                pairs,
-                self._setup,
-                entries,
-                expected,
-                sums,
-            )
+            given = numbers, self._most, self.source.sky, self._positioners, realization, pairs, self._setup
+            simulate.queue_and_expect(rng, *given, entries, expected, sums)
         else:
             for own in sums:
-                indptr, segments = self._queue_segments(rng, thin=True)
-                entries = make_entries(n, segments.shape[1])
-                entries.segments[:, : segments.shape[1]] = segments
-                simulate.expect_given(indptr, pairs, self._positioners, self._setup, entries, expected, own)
-        return CollisionSums(sums[:, :4], sums[:, 4], expected.times, expected.counted)
+                given = self._queue_segments(rng, thin=True)
+                expect_queues(self.plane, self._setup, self._positioners, given, expected, own)
+        return CollisionSums.of(sums, expected)
 
     @property
     def _most(self):
@@ -194,3 +247,37 @@ class Simulation:
     @cached_property
     def _positioners(self):
         return make_positioners(self.plane, self._setup)
+
+
+def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | None:
+    """Return the allocations whose queues define the density; None if ``density`` does not contain allocations."""
+    some = [density] if isinstance(density, Allocation) else density
+    if not isinstance(some, list | tuple) or not some:
+        return None
+    for one in some:
+        if not isinstance(one, Allocation) or one.queues is None:
+            raise InputError(
+                f"density must be Allocations with queues, such as those of the allocator 'balanced', got {one!r}"
+            )
+        if len(one.target_of_positioner) != len(plane):
+            raise InputError(
+                f"density must be Allocations for the {len(plane)} positioners of the focal plane, got an Allocation "
+                f"for {len(one.target_of_positioner)} positioners"
+            )
+    return list(some)
+
+
+def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: bool) -> CollisionSums:
+    """Return the expected numbers of collisions if each positioner draws its target at random from its combined queue.
+
+    The combined queue of a positioner contains the targets of its queues in all ``allocations``.
+    """
+    parts = [queue_segments(plane, allocation) for allocation in allocations]
+    own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
+    order = np.argsort(own, kind="stable")
+    indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
+    segments = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
+    setup = make_setup(plane.arrays, parked_obstacles)
+    sums, expected = np.empty((1, 5)), make_expected(len(plane), len(plane.arrays.neighbors))
+    expect_queues(plane, setup, make_positioners(plane, setup), (indptr, segments), expected, sums[0])
+    return CollisionSums.of(sums, expected)

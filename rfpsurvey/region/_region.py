@@ -12,7 +12,7 @@ from rfpsurvey._readers import parse_number
 from rfpsurvey._units import ByValue, to_center, to_plain, to_scalar, to_vectors
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, refusal
 from rfpsurvey.region import _shapes
-from rfpsurvey.region._sphere import is_inside
+from rfpsurvey.region._shapes import is_inside
 
 FORMS = {
     "cap": "cap RA DEC RADIUS",

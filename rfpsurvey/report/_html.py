@@ -12,11 +12,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from rfpsurvey.report._blocks import Facts, Page, Rows, View
-from rfpsurvey.report._columns import MISSING, cells_of
-from rfpsurvey.report._numbers import number_text
-from rfpsurvey.report._pack import json_of
 from rfpsurvey.report._svg import dark_grays, svg_of
-from rfpsurvey.report._text import text_of
+from rfpsurvey.report._text import MISSING, cells_of, json_of, number_text, text_of
 from rfpsurvey.tile import versions
 
 if TYPE_CHECKING:

@@ -1,11 +1,17 @@
-"""The report pages of surveys and tilings."""
+"""The report pages of surveys, of their status, of tilings, and of selection probabilities."""
+
+from dataclasses import replace
+
+from astropy.table import QTable, Table
 
 from rfpsurvey.errors import number_of
-from rfpsurvey.plot import draw_tiling, plot_completeness, plot_tiling
+from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_survey_status, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text
-from rfpsurvey.report._facts import TILING, survey_facts, tiling_facts
-from rfpsurvey.report._sky_view import sky_view
-from rfpsurvey.survey import Survey
+from rfpsurvey.report._facts import TILING, tiling_facts
+from rfpsurvey.report._views import sky_view
+from rfpsurvey.selection import SelectionProbabilities, selection_facts
+from rfpsurvey.survey import Survey, status_facts, survey_facts
+from rfpsurvey.tile import versions
 from rfpsurvey.tiling import Tiling
 
 
@@ -93,3 +99,99 @@ def _about_curves(survey) -> str:
     if len(set(survey.completeness["priority"].tolist())) > 2:  # one of these names is "all"
         words += " Dotted lines connect the completeness of each priority class after each pass."
     return words
+
+
+NOT_PLANNED = "Events were recorded after the last plan. Planned visits are those of the last plan."
+
+
+def page_of_status(status: Table, where: str) -> Page:
+    """Return a page on the status of a survey."""
+    one, tiles = status[0], QTable(rows=status.meta["tiles"])
+    done = int(tiles["observed"].sum())
+    highlights = {
+        f"of {int(one['n_requested'])} visits observed": int(one["n_observed"]),
+        "tiles observed": done,
+        "visits planned": int(one["n_planned"]),
+    }
+    words = (
+        "Left: the numbers of visits (left axis) and of tiles (right axis) that were observed up to each date. Right: "
+        "for each class of targets, the fractions of the requested visits that are observed, planned, not assigned, "
+        "lost to collisions, and not possible because the target is out of reach of all tiles or excluded by a limit."
+    )
+    picture = Picture("Progress of the survey.", plot_survey_status(status)[0].figure, words)
+    progress = status.meta["progress"]
+    dates = QTable({"date": progress["date"], "tiles": progress["n_tiles"], **_by_class(progress["n_observed"])})
+    until = status.meta["events"].get("until")
+    note = f"Observations until {until} are taken into account." if until else NOT_PLANNED
+    blocks = [Facts("", status_facts(status)), *([] if status.meta["is_planned"] else [Text(note)])]
+    sections = [
+        Section("Result", blocks),
+        Section("Progress", [picture, *([Rows("Observed tiles and visits up to each date.", dates)] if dates else [])]),
+        Section("Classes", [Rows("The visits of each class of targets.", status, where or "survey_status")]),
+        Section("Tiles", [Rows("The numbers of tiles of each pass by their state.", tiles)]),
+    ]
+    if areas := status.meta["areas"]:
+        sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
+    lead = (
+        f"{int(one['n_observed'])} of {number_of(int(one['n_requested']), 'visit')} are observed on "
+        f"{number_of(done, 'tile')}."
+    )
+    provenance = {"events": status.meta["events"], "software": versions()}
+    title = f"Status of a survey with {status.meta['instrument']}"
+    return Page("Status", title, lead, highlights, sections, provenance)
+
+
+def _by_class(visits: dict) -> dict:
+    """Return columns with the visits of each class."""
+    return {"visits" if name == "all" else f"priority {name}": values for name, values in visits.items()}
+
+
+MOST_TARGETS = 10_000
+"""Largest number of targets that are converted to a table for a page, because a survey can have millions of targets."""
+WORDS = (
+    "The bars show the numbers of targets with each selection probability, the fraction of the realizations that "
+    "observed the target. The colors show the number of tiles in which at least one positioner reaches the target. "
+    "Targets that no tile reaches are not drawn."
+)
+ABOUT = (
+    "probability: fraction of the realizations that observed the target.",
+    "weight: inverse probability (n + 1) / (k + 1) of a target that k of n realizations observed.",
+    "n tiles: number of tiles in which at least one positioner reaches the target.",
+    "The columns probability error and weight error are standard errors.",
+)
+
+
+def page_of_selection(found: SelectionProbabilities, where: str) -> Page:
+    """Return the report page of selection probabilities."""
+    s, name = found.summary, found.provenance["instrument"]["name"]
+    highlights = {
+        "targets": s["n_targets"],
+        "realizations": s["n_realizations"],
+        "mean selection probability": s["mean_probability"],
+        "targets never observed": s["n_never_observed"],
+    }
+    axes = plot_selection(found)
+    axes.set_title("")
+    model = {"model": s["model"]} if s.get("model") else {}
+    table = _first(found).table
+    table.remove_column("BITWEIGHTS")
+    targets = Rows("Targets in the order of the catalog.", table, where, len(found) - len(table))
+    realizations = Rows("Realizations.", found.realizations, "SelectionProbabilities.realizations")
+    sections = [
+        Section("Result", [Facts("", selection_facts(found) | model)]),
+        Section("Probabilities", [Picture("Selection probabilities of the targets.", axes, WORDS)]),
+        Section("Targets", [targets, Text(list(ABOUT))]),
+        Section("Realizations", [realizations]),
+    ]
+    lead = (
+        f"The survey of {number_of(s['n_tiles'], 'tile')} was planned {s['n_realizations']} times with random "
+        f"subpriorities. Of {number_of(s['n_targets'], 'target')}, {s['n_always_observed']} are observed in all "
+        f"realizations, {s['n_sometimes_observed']} in some, and {s['n_never_observed']} in none."
+    )
+    return Page("Selection", f"Selection probabilities with {name}", lead, highlights, sections, found.provenance)
+
+
+def _first(found):
+    """Return the selection probabilities of the first targets."""
+    columns = ("target_id", "requested", "n_tiles", "bits")
+    return replace(found, **{name: getattr(found, name)[:MOST_TARGETS] for name in columns})

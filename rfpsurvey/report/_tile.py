@@ -1,25 +1,21 @@
 """The report page of a tile."""
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from matplotlib.axes import Axes
 
 from rfpsurvey.allocation import METHODS, recorded_constraints
 from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
-from rfpsurvey.report._facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
-from rfpsurvey.report._focal_plane_view import focal_plane_view
-from rfpsurvey.report._plans import blocks_of_plans
-from rfpsurvey.tile import Tile, collision_shape
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
+from rfpsurvey.report._facts import model_facts
+from rfpsurvey.report._views import blocks_of_plans, focal_plane_view
+from rfpsurvey.tile import Tile, collision_shape, rules_of_tile, tile_facts, tile_objectives, tile_problems
 
 COLUMNS = (
     "id",
@@ -113,14 +109,7 @@ def _asked(tile) -> dict:
         asked["objective"], asked["time limit"] = p["objective"], f"{p['time_limit_s']:g} s"
     parked = "those that are parked, with two arms of equal length"
     asked["idle arms that are obstacles"] = parked if p.get("parked_obstacles", True) else "none"
-    if "model" in tile.summary:
-        asked["model"] = tile.summary["model"]
-    if tile.summary.get("poses_without_target"):
-        asked["poses"] = tile.summary["poses_without_target"]
-    projection = tile.summary.get("projection", {})
-    if "sentence" in projection:
-        asked["projection"] = f"{projection['model']}; {projection['sentence']}"
-    return asked
+    return asked | model_facts(tile)
 
 
 def _objectives(tile) -> list:
@@ -182,7 +171,7 @@ def _pictures(tile) -> list:
     return pictures
 
 
-def draw_plane(tile: Tile, region: u.Quantity | None = None) -> "Axes":
+def draw_plane(tile: Tile, region: u.Quantity | None = None) -> Axes:
     """Return a plot of the focal plane, or of a part of it, without a title."""
     ax = plot_focal_plane(tile, region=region)
     ax.set_title("")

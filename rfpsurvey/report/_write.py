@@ -13,14 +13,18 @@ from rfpsurvey.compare import PARTS
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, refusal
 from rfpsurvey.probability import Estimate
 from rfpsurvey.report._blocks import Page, Picture, Section
-from rfpsurvey.report._designs import is_designs, page_of_designs
-from rfpsurvey.report._focal_plane_view import check_plans
 from rfpsurvey.report._html import html_of
-from rfpsurvey.report._selection import page_of_selection
-from rfpsurvey.report._status import page_of_status
-from rfpsurvey.report._survey import page_of_survey, page_of_tiling
-from rfpsurvey.report._tables import page_of_allocators, page_of_estimate, page_of_instruments, page_of_table
+from rfpsurvey.report._survey import page_of_selection, page_of_status, page_of_survey, page_of_tiling
+from rfpsurvey.report._tables import (
+    is_designs,
+    page_of_allocators,
+    page_of_designs,
+    page_of_estimate,
+    page_of_instruments,
+    page_of_table,
+)
 from rfpsurvey.report._tile import page_of_tile
+from rfpsurvey.report._views import check_plans
 from rfpsurvey.selection import SelectionProbabilities
 from rfpsurvey.survey import Survey
 from rfpsurvey.tile import Tile

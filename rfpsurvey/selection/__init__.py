@@ -1,14 +1,13 @@
 """Selection probabilities of targets from many realizations of a survey, and potential assignments of random points."""
 
 from rfpsurvey.selection._potential import PotentialAssignments, potential_assignments
-from rfpsurvey.selection._probabilities import SelectionProbabilities
-from rfpsurvey.selection._rules import RULES
+from rfpsurvey.selection._probabilities import SelectionProbabilities, selection_facts
 from rfpsurvey.selection._select import selection_probabilities
 
 __all__ = [
-    "RULES",
     "PotentialAssignments",
     "SelectionProbabilities",
     "potential_assignments",
+    "selection_facts",
     "selection_probabilities",
 ]

@@ -142,14 +142,6 @@ class History:
         state.is_open = (state.left > 0).any(axis=1).astype(np.uint8)
         return state, before
 
-    def masks(self, request: Request, state: State, before: np.ndarray) -> np.ndarray:
-        """Return a mask of the realizations that observe each target; ``before`` are the remaining visits before."""
-        mask = np.zeros(len(state.left), dtype=np.uint32)
-        for r in range(self.made.shape[1]):
-            seen = (state.left[:, r] < before[:, r]) | (request.source.to_slots(self.made[:, r]) > 0)
-            mask |= (seen & state.spends).astype(np.uint32) << np.uint32(r)
-        return mask
-
 
 def _open(mask: np.ndarray, left: np.ndarray) -> np.ndarray:
     """Return the mask without visits to targets that have no remaining visits."""
@@ -171,7 +163,7 @@ def plan_history(
         Number of realizations of the block.
     plan_rounds : callable
         Function of a generation and a `State` that plans the tiles of the generation, records them in the state, and
-        yields the job and the result of each tile.
+        yields the row, the job and the result of each tile.
 
     Returns
     -------
@@ -183,7 +175,8 @@ def plan_history(
     history = History(len(generations[-1].request.source), n)
     for generation in generations:
         now, before = history.open_state(generation)
-        for job, done in plan_rounds(generation, now):
-            if job.tile in generation.observed:
-                history.keep(job.tile, generation, job.job.field.row, done)
-    return history.masks(generation.request, now, before), history.counts + now.counts
+        for tile, job, done in plan_rounds(generation, now):
+            if tile in generation.observed:
+                history.keep(tile, generation, job.field.row, done)
+    made = generation.request.source.to_slots(history.made)
+    return now.masks(before, made), history.counts + now.counts

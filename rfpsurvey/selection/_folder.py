@@ -8,6 +8,7 @@ import numpy as np
 from rfpsurvey._folder import RequestFolder, check_file
 from rfpsurvey._io import written
 from rfpsurvey._readers import open_file, read_arrays
+from rfpsurvey.constraints import with_present_texts
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.selection._state import State
 
@@ -26,6 +27,9 @@ class SelectionFolder(RequestFolder):
 
     request_name = "selection.json"
     work, parts = "computation of selection probabilities", "realizations"
+
+    def _compare(self, before: dict, now: dict):
+        super()._compare(with_present_texts(before, now), now)
 
     def _open(self):
         super()._open()

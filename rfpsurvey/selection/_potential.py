@@ -14,6 +14,8 @@ from astropy.table import QTable, Table, vstack
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._descriptions import Column, describe
+from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
@@ -22,11 +24,11 @@ from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
 from rfpsurvey.survey import Job, Request, Survey, in_order, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
-COLUMNS = {
-    "tile": "identifier of the tile",
-    "positioner": "identifier of the positioner",
-    "point": "row of the point in the catalog of points",
-}
+COLUMNS = table_of(
+    Column("tile", "identifier of the tile"),
+    Column("positioner", "identifier of the positioner"),
+    Column("point", "row of the point in the catalog of points"),
+)
 NO_ROWS = np.empty(0, dtype=np.int64)
 PLACE = ("tile", "ra", "dec", "position_angle", "pass")
 # Largest difference (degrees) between the centers and position angles of equal tiles.
@@ -185,7 +187,7 @@ class PotentialAssignments:
         return vstack(list(self), metadata_conflicts="silent")
 
     def __iter__(self) -> Iterator[QTable]:
-        return (QTable({name: rows[name] for name in COLUMNS}) for rows in self._rows())
+        return (describe(QTable({name: rows[name] for name in COLUMNS}), COLUMNS) for rows in self._rows())
 
     def __len__(self):
         return int((~self._is_dropped).sum())
@@ -217,7 +219,7 @@ class PotentialAssignments:
         """
         self.request.check_text()
         cards = {
-            **_io.table_cards("POTENTIAL", list(COLUMNS), COLUMNS),
+            **_io.table_cards("POTENTIAL", list(COLUMNS), {name: one.text for name, one in COLUMNS.items()}),
             "INSTRUME": (self.request.instrument.name, "instrument"),
             "NTILES": (len(self), "number of tiles"),
             "NPOINTS": (len(self.request.source), "number of points"),
@@ -279,21 +281,19 @@ def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
 
 def _check_survey(request: Request, survey: Survey) -> None:
     """Raise an error unless a survey was planned with the same tiles and instrument."""
-    there = set(np.asarray(survey.tiles["tile"]).tolist())
-    missing = [name for name in np.asarray(request.tiling.table["tile"]).tolist() if name not in there]
+    row_of = {name: k for k, name in enumerate(np.asarray(survey.tiles["tile"]).tolist())}
+    names = np.asarray(request.tiling.table["tile"]).tolist()
+    missing = [name for name in names if name not in row_of]
     if missing:
         raise InputError(
             f"survey must contain all tiles, but it has no tile {missing[0]} "
             f"({len(missing)} of {len(request.tiling)} tiles are missing)"
         )
-    row_of = {name: k for k, name in enumerate(np.asarray(survey.tiles["tile"]).tolist())}
-    rows = [row_of[name] for name in np.asarray(request.tiling.table["tile"]).tolist()]
-    there = places_of_tiles(Tiling(QTable(survey.tiles[rows][PLACE], meta={})))
+    there = places_of_tiles(Tiling(QTable(survey.tiles[[row_of[name] for name in names]][PLACE], meta={})))
     apart = np.abs((there - places_of_tiles(request.tiling) + 180) % 360 - 180).max(axis=1)
     for k in np.flatnonzero(apart > ROUNDING)[:1].tolist():
         raise InputError(
-            f"survey must have the same centers and position angles as the tiles, got another place for tile "
-            f"{request.tiling.table['tile'][k]}"
+            f"survey must have the same centers and position angles as the tiles, got another place for tile {names[k]}"
         )
     planned, own = survey.provenance["instrument"], request.instrument.provenance
     if planned.get("digest") != own["digest"]:

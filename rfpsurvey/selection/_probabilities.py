@@ -1,25 +1,55 @@
-"""The class `SelectionProbabilities`."""
+"""The class `SelectionProbabilities`: packed bits, and estimates of probabilities from counts of realizations."""
 
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 
 import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey import _io
+from rfpsurvey._descriptions import TARGET_ID, Column, Fact, describe, facts_of
 from rfpsurvey._display import to_html
 from rfpsurvey._folder import check_file, read_index
+from rfpsurvey._methods import table_of
 from rfpsurvey._units import to_visits
 from rfpsurvey.errors import InputError, check_whole, number_of, short
-from rfpsurvey.selection._bits import PER_WORD, count_bits, n_words
-from rfpsurvey.selection._estimates import inverse_probability, inverse_probability_error, probability_error
-from rfpsurvey.selection._result import TARGETS
-from rfpsurvey.tile import describe
 
+TARGETS = table_of(
+    TARGET_ID,
+    Column("requested", "number of requested visits"),
+    Column("n_tiles", "number of tiles in which at least one positioner reaches the target"),
+    Column("BITWEIGHTS", "bit r is 1 if realization r observed the target"),
+    Column("n_observed", "number of realizations that observed the target"),
+    Column("probability", "n_observed divided by the number of realizations"),
+    Column("probability_error", "standard error of the column probability"),
+    Column("weight", "inverse probability (n_realizations+1)/(n_observed+1)"),
+    Column("weight_error", "standard error of the column weight"),
+    Column("unreachable", "whether no positioner reaches the target in any tile"),
+    Column("never_observed", "whether no realization observed the target"),
+)
+STORED = dict.fromkeys(("n_tiles", "n_observed"), np.int32)
+STORED |= dict.fromkeys(("probability", "probability_error", "weight", "weight_error"), np.float32)
+"""Data types of columns in tables and files."""
+SELECTION_FACTS = (
+    Fact("n_realizations", "realizations", zero=True),
+    Fact("n_tiles", "tiles", zero=True),
+    Fact("n_targets", "targets with requested visits", zero=True),
+    Fact("n_unreachable", "targets in reach of no tile", zero=True),
+    Fact("n_never_observed", "targets never observed", zero=True),
+    Fact("n_sometimes_observed", "targets sometimes observed", zero=True),
+    Fact("n_always_observed", "targets always observed", zero=True),
+    Fact("mean_probability", "mean selection probability", zero=True),
+    Fact("n_assigned", "assigned fibers, all realizations", zero=True),
+    Fact("n_lost", "lost to collisions", "n_assigned", zero=True),
+    Fact("n_observed", "visits observed, all realizations", zero=True),
+)
+"""The numbers of the summary of selection probabilities that are shown."""
 COLUMNS = ("target_id", "requested", "n_tiles", "BITWEIGHTS")
 NAMES = "SELECTION", "REALIZATIONS"
+PER_WORD = 64
+"""Number of realizations whose bits one integer contains."""
 # Number of rows that are written together.
 PART = 1 << 20
 
@@ -85,23 +115,26 @@ class SelectionProbabilities:
     def probability_error(self) -> np.ndarray:
         """Standard error of `probability`, shape (n_targets,).
 
-        This is the standard deviation of the posterior distribution of the probability for a uniform prior.
+        This is the standard deviation of the posterior distribution of the probability for a uniform prior. It is never
+        0.
         """
-        return probability_error(self.n_observed, self.n_realizations)
+        a, b = self.n_observed + 1.0, self.n_realizations - self.n_observed + 1.0
+        return np.sqrt(a * b / (a + b + 1.0)) / (a + b)
 
     @property
     def weight(self) -> np.ndarray:
         """Inverse probability (n + 1) / (k + 1) of a target that k of n realizations observed, shape (n_targets,).
 
         This is the weight of a target that the survey observed. The survey itself counts as one more realization that
-        observed the target.
+        observed the target. If a realization observes the target with the probability p, the expected value of the
+        weight is ``(1 - (1 - p)**(n + 1)) / p``.
         """
-        return inverse_probability(self.n_observed, self.n_realizations)
+        return (self.n_realizations + 1) / (self.n_observed + 1.0)
 
     @property
     def weight_error(self) -> np.ndarray:
-        """Standard error of `weight`, shape (n_targets,)."""
-        return inverse_probability_error(self.n_observed, self.n_realizations)
+        """Standard error of `weight`, by first-order propagation of `probability_error`, shape (n_targets,)."""
+        return self.weight**2 * self.probability_error
 
     @property
     def unreachable(self) -> np.ndarray:
@@ -215,20 +248,9 @@ class SelectionProbabilities:
 
     def _rows(self, rows: slice) -> QTable:
         """Return the table for a slice of the targets."""
-        n, count = self.n_realizations, self.n_observed[rows]
-        values = {
-            "target_id": self.target_id[rows],
-            "requested": self.requested[rows],
-            "n_tiles": self.n_tiles[rows].astype(np.int32),
-            "BITWEIGHTS": self.bits[rows].view(np.int64),
-            "n_observed": count.astype(np.int32),
-            "probability": (count / n).astype(np.float32),
-            "probability_error": probability_error(count, n).astype(np.float32),
-            "weight": inverse_probability(count, n).astype(np.float32),
-            "weight_error": inverse_probability_error(count, n).astype(np.float32),
-            "unreachable": self.unreachable[rows],
-            "never_observed": count == 0,
-        }
+        part = replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:-1]})
+        values = {name: part.bits.view(np.int64) if name == "BITWEIGHTS" else getattr(part, name) for name in TARGETS}
+        values |= {name: values[name].astype(kind) for name, kind in STORED.items()}
         return QTable(values, copy=False, meta={"summary": self.summary, "provenance": self.provenance})
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
@@ -255,10 +277,11 @@ class SelectionProbabilities:
         }
         first, second = self._rows(slice(0, 0)), self.realizations
         parts = (self._rows(slice(k, k + PART)).as_array() for k in range(0, len(self), PART))
+        texts = {name: one.text for name, one in TARGETS.items()}
         about = {name: second[name].info.description or "" for name in second.colnames}
         _io.write_fits_rows(
             path,
-            _io.FitsRows(first.dtype, {**_io.table_cards(NAMES[0], first.colnames, TARGETS), **cards}, parts),
+            _io.FitsRows(first.dtype, {**_io.table_cards(NAMES[0], first.colnames, texts), **cards}, parts),
             _io.FitsRows(second.dtype, _io.table_cards(NAMES[1], second.colnames, about), [second.as_array()]),
             overwrite=overwrite,
         )
@@ -329,3 +352,18 @@ class SelectionProbabilities:
             f"{number_of(s['n_realizations'], 'realization')}: {s['n_never_observed']} never observed, "
             f"{s['n_always_observed']} always>"
         )
+
+
+def selection_facts(found: SelectionProbabilities) -> dict:
+    """Return the labels and values of the numbers of selection probabilities."""
+    return facts_of(SELECTION_FACTS, found.summary)
+
+
+def n_words(n_realizations: int) -> int:
+    """Return the number of 64-bit integers that contain the bits of one target."""
+    return -(-n_realizations // PER_WORD)
+
+
+def count_bits(bits: np.ndarray) -> np.ndarray:
+    """Return, for each target, the number of bits that are 1, shape (n_targets,)."""
+    return np.bitwise_count(bits).sum(axis=1, dtype=np.int64)

@@ -1,4 +1,4 @@
-"""The loop over the blocks of realizations, and over the tiles of each block.
+"""The loop over the blocks of realizations, and over the tiles of each block, and the table of realizations.
 
 The *slot* of a target is its index in the arrays that describe the state of a survey.
 """
@@ -9,20 +9,29 @@ from contextlib import nullcontext
 from functools import partial
 
 import numpy as np
+from astropy.table import QTable
 
+from rfpsurvey._descriptions import Column, describe
+from rfpsurvey._kernels.realizations import MOST
+from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey.selection._alternate import Generation, plan_history
-from rfpsurvey.selection._bits import n_words
 from rfpsurvey.selection._folder import NAME, SelectionFolder
-from rfpsurvey.selection._probabilities import SelectionProbabilities
-from rfpsurvey.selection._realizations import Block, blocks_of, in_batch, request_of, seeds_of
-from rfpsurvey.selection._result import realization_table
-from rfpsurvey.selection._state import State
-from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Request, in_order
+from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
+from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
+from rfpsurvey.selection._work import BlockDone, BlockJob, plan_alone, plan_together, reach_counts
+from rfpsurvey.survey import Job, Request, in_order
+from rfpsurvey.tile import model_sentence
 
 IN_FLIGHT = 32
 """Number of tiles that are submitted before the first result is awaited."""
+REALIZATIONS = table_of(
+    Column("realization", "number of the realization, and of its bit in BITWEIGHTS"),
+    Column("seed", "seed of the subpriorities and of the random numbers of the realization"),
+    Column("n_assigned", "number of usable positioners with a target, summed over all tiles"),
+    Column("n_lost", "number of targets lost to collisions, summed over all tiles"),
+    Column("n_observed", "number of visits to science targets, without lost targets, summed over all tiles"),
+)
 
 
 def run(
@@ -41,39 +50,38 @@ def run(
             folder.finish()  # the earlier run may have ended between writing the result and removing the checkpoints
             return SelectionProbabilities.read(folder.path)
         together = in_batch(request)
-        seeds, blocks = seeds_of(request.seed, n), blocks_of(n, together=together)
-        builder = request.builder
+        seeds, size, builder = seeds_of(request.seed, n), MOST if together else 1, request.builder
         bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
         counts = []
         tiles = len(request.tiling)
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
-            for block in blocks:
-                own = seeds[block.first : block.last]
-                done = None if folder is None else folder.load_block(block.number, len(builder.wanted), len(block))
+            for number, first in enumerate(range(0, n, size)):
+                own = seeds[first : first + size]
+                done = None if folder is None else folder.load_block(number, len(builder.wanted), len(own))
                 is_known = done is not None
                 if done is None and generations is not None:
                     plan = partial(_plan_generation, seeds=own, executor=executor, together=together)
-                    done = plan_history(generations, len(block), plan)
+                    done = plan_history(generations, len(own), plan)
                 elif done is None:
-                    state = State(builder, len(block))
+                    state = State(builder, len(own))
                     one = request if together else request_of(request, own[0])
-                    begin = tiles * (1 + block.first)
-                    _plan_block(one, block, own, state, folder, executor, tell, begin, together=together)
+                    begin = tiles * (1 + first)
+                    _plan_block(one, number, own, state, folder, executor, tell, begin, together=together)
                     done = state.masks(), state.counts
                 if folder is not None and not is_known:
-                    folder.save_block(block.number, *done)
-                word, shift = divmod(block.first, 64)
+                    folder.save_block(number, *done)
+                word, shift = divmod(first, PER_WORD)
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
-                tell(tiles * (1 + block.last), new=generations is not None and not is_known)
+                tell(tiles * (1 + first + len(own)), new=generations is not None and not is_known)
         source = request.source
         result = SelectionProbabilities(
             source.ids(),
             source.by_row(builder.wanted if generations is None else generations[-1].request.builder.wanted),
             source.by_row(n_tiles),
             source.by_row(bits),
-            realization_table(request, seeds, np.concatenate(counts), together=together),
+            realization_table(request, seeds, np.concatenate(counts)),
         )
         if folder is not None:
             with folder.writing(NAME) as temporary:
@@ -113,39 +121,67 @@ def count_type(n: int) -> type:
     return np.uint16 if n < 1 << 16 else np.uint32
 
 
-def _plan_block(request, block: Block, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
+def _plan_block(request, number: int, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
     """Plan all tiles for the realizations of a block."""
     if folder is not None:
-        folder.load_state(block.number, state, len(request.rounds))
-    done = begin + len(block) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
+        folder.load_state(number, state, len(request.rounds))
+    done = begin + len(seeds) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
     tell(done, new=False)
-    plan = plan_together if together else plan_alone
     for tiles in request.rounds[state.n_rounds :]:
-        jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
-        given = ((block_job.job, block_job, None) for block_job in jobs)
-        for job, found, _ in in_order(executor, plan, given, IN_FLIGHT):
-            state.enter(job.field.slot, found.mask, found.counts)
-            done += len(block)
+        for _ in _plan_round(request, tiles, seeds, state, executor, together=together):
+            done += len(seeds)
             tell(done)
         state.n_rounds += 1
         if folder is not None and state.n_rounds < len(request.rounds):
-            folder.save_state(block.number, state)
+            folder.save_state(number, state)
 
 
 def _plan_generation(generation: Generation, state: State, *, seeds, executor, together) -> Iterator:
-    """Plan the tiles of a generation for the realizations of a block, and yield the job and the result of each tile."""
+    """Plan the tiles of a generation for the realizations of a block, and yield the results as `_plan_round` does."""
     request = generation.request if together else request_of(generation.request, seeds[0])
     for tiles in generation.rounds:
-        jobs = (_job(request, tile, state, seeds) for tile in tiles.tolist())
-        jobs = (job._replace(failed=generation.failed(job.tile)) for job in jobs)
-        given = ((job, job, None) for job in jobs)
-        for job, found, _ in in_order(executor, plan_together if together else plan_alone, given, IN_FLIGHT):
-            state.enter(job.job.field.slot, found.mask, found.counts)
-            yield job, found
+        yield from _plan_round(request, tiles, seeds, state, executor, generation.failed, together=together)
 
 
-def _job(request, tile: int, state: State, seeds) -> BlockJob:
-    job = request.job(tile, state.is_open)
-    if not any(one.uses_field for one in request.options.all_constraints):  # no constraint uses the further columns
-        job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
-    return BlockJob(job, tile, state.take(job.field.slot), tuple(seeds))
+def _plan_round(
+    request, tiles, seeds, state: State, executor, failed: Callable = lambda _: None, *, together: bool
+) -> Iterator[tuple[int, Job, BlockDone]]:
+    """Plan the tiles of a round for the realizations of a block, and record their visits in the state.
+
+    Yield the row, the job and the result of each tile. The function ``failed`` of the row of a tile returns the
+    positioners that failed when the tile was observed.
+    """
+    has_field = any(one.uses_field for one in request.options.all_constraints)
+
+    def given() -> Iterator:
+        for tile in tiles.tolist():
+            job = request.job(tile, state.is_open)
+            if not has_field:  # no constraint uses the further columns
+                job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+            yield job, BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
+
+    results = in_order(executor, plan_together if together else plan_alone, given(), IN_FLIGHT)
+    for tile, (job, found, _) in zip(tiles.tolist(), results, strict=True):
+        state.enter(job.field.slot, found.mask, found.counts)
+        yield tile, job, found
+
+
+def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
+    """Return a table with a row for each realization, and with the provenance in its meta."""
+    table = QTable({"realization": np.arange(len(seeds)), "seed": np.array(seeds, dtype=np.int64)})
+    for name, column in zip(("n_assigned", "n_lost", "n_observed"), counts.T, strict=True):
+        table[name] = column
+    n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
+    n_tiles = len(request.tiling) - len(request.dropped)
+    table.meta = {
+        "summary": {
+            "n_realizations": len(seeds),
+            "n_tiles": n_tiles,
+            "n_rounds": len(request.rounds),
+            "n_fibers": n_usable * n_tiles,
+            **({} if request.moved is None else {"epoch": request.moved}),
+            "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
+        },
+        "provenance": request.provenance,
+    }
+    return describe(table, REALIZATIONS)

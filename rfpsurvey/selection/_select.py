@@ -212,7 +212,7 @@ def _check_same(provenance: dict, request: Request) -> None:
     order = recorded.get("subpriority")
     if isinstance(order, str):
         warn(f"the weights of the targets that the survey observes are biased unless the column {order!r} is random")
-    elif order is None and request.options.name != "balanced" and request.source.by_slot("subpriority") is None:
+    elif order is None and not request.options.method.is_random and request.source.by_slot("subpriority") is None:
         warn(
             "the survey was planned without the option subpriority, so its plan is not a random realization, and "
             "the weights of the targets that it observes are biased; plan the survey with a seed as subpriority"

@@ -1,9 +1,33 @@
-"""The remaining visits of all targets in a block of realizations: one byte per target and realization."""
+"""The realizations of a survey, and the remaining visits of all targets in a block of realizations.
+
+The remaining visits are one byte per target and realization.
+"""
+
+from dataclasses import replace
 
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.pipeline import FieldBuilder
+from rfpsurvey.survey import Request
+
+
+def seeds_of(seed: int, n: int) -> list[int]:
+    """Return the seeds of n realizations; if n is increased, the first seeds remain the same."""
+    return [int(word) >> 1 for word in np.random.SeedSequence(seed).generate_state(n, np.uint64)]
+
+
+def request_of(request: Request, seed: int) -> Request:
+    """Return the request of the survey of one realization."""
+    return replace(request, options=replace(request.options, subpriority=seed), seed=seed)
+
+
+def in_batch(request: Request) -> bool:
+    """Return whether all realizations of a block can be planned together."""
+    options = request.options
+    # the rules do not meet requirements, which some of the allocators with a rule ignore as well
+    simple = options.sky_separation is None and not (options.counts and options.method.uses("requirements"))
+    return options.method.rule is not None and simple
 
 
 class State:
@@ -30,12 +54,6 @@ class State:
         self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
         """For each realization: numbers of assigned positioners, of lost targets, and of visits to science targets."""
 
-    def take(self, slot: np.ndarray) -> np.ndarray:
-        """Return the remaining visits of the targets with the given slots, shape (k, n_realizations)."""
-        out = np.empty((len(slot), self.left.shape[1]), dtype=np.uint8)
-        kernels.take_left(self.left, slot, out)
-        return out
-
     def enter(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
         """Record the visits of a tile.
 
@@ -47,10 +65,17 @@ class State:
         kernels.record_visits(mask, slot, self.spends, self.left, self.is_open, observed)
         self.counts[:, 2] += observed
 
-    def masks(self) -> np.ndarray:
-        """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,)."""
-        mask = np.empty(len(self.wanted), dtype=np.uint32)
-        kernels.to_masks(self.left, self.wanted, self.spends, mask)
+    def masks(self, before: np.ndarray | None = None, made: np.ndarray | None = None) -> np.ndarray:
+        """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,).
+
+        ``before`` contains the remaining visits before the first tile, by default the requested visits. ``made``
+        contains the numbers of further visits. Both have the shape (n_targets, n_realizations).
+        """
+        mask = np.zeros(len(self.wanted), dtype=np.uint32)
+        for r in range(self.left.shape[1]):
+            observed = self.left[:, r] < (self.wanted if before is None else before[:, r])
+            observed |= False if made is None else made[:, r] > 0
+            mask |= (observed & self.spends).astype(np.uint32) << np.uint32(r)
         return mask
 
     def restore(self, left: np.ndarray, counts: np.ndarray, n_rounds: int) -> None:

@@ -6,10 +6,12 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
-from rfpsurvey.collision import find_collisions, make_setup, make_workspace
+from rfpsurvey._kernels.batch import BORDERLINE
+from rfpsurvey._roles import has_role
+from rfpsurvey.allocation import RuleProblem, id_numbers, subpriorities_of
+from rfpsurvey.collision import count_poses, find_collisions, make_setup
 from rfpsurvey.focal_plane import FocalPlane, Reach, elbow_names
 from rfpsurvey.pipeline import FieldReach
-from rfpsurvey.selection._rules import RULES, BlockProblem
 from rfpsurvey.survey import Job, reach_of, work
 
 
@@ -18,8 +20,6 @@ class BlockJob(NamedTuple):
 
     job: Job
     """The tile and its field, which contains the targets with remaining visits in at least one realization."""
-    tile: int
-    """Row of the tile in the tiling."""
     left: np.ndarray
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
@@ -44,24 +44,47 @@ def plan_together(given: BlockJob) -> BlockDone:
     """Plan a tile for all realizations of a block; the pairs in reach and the poses of arms are computed once."""
     job, n = given.job, len(given.seeds)
     reach = reach_of(job)
-    plane = reach.instrument.focal_plane
+    plane = reach.applied.instrument.focal_plane
     mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
-    problem = BlockProblem.of(reach, given)
-    if len(problem.pairs.owner) == 0:
+    pairs, chosen = choose_pairs(reach, given)
+    if len(pairs.owner) == 0:
         return BlockDone(mask, counts, [mask] * len(given.failed or ()))
-    chosen = np.empty((n, len(plane)), dtype=np.int64)
-    RULES[job.model.options.allocator](problem, chosen)
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
-        Poses(plane, reach, problem.pairs, job.model.options.parked_obstacles).find_lost(chosen, lost)
-    kernels.mark_visits(chosen, lost, problem.pairs.target, mask, counts)
+        Poses(plane, reach, pairs, job.model.options.parked_obstacles).find_lost(chosen, lost)
+    kernels.mark_visits(chosen, lost, pairs.target, mask, counts)
     good = []
     for rows in given.failed or ():
         good.append(np.zeros_like(mask))
         without = lost.copy()
         without[:, rows] = True
-        kernels.mark_visits(chosen, without, problem.pairs.target, good[-1], np.empty_like(counts))
+        kernels.mark_visits(chosen, without, pairs.target, good[-1], np.empty_like(counts))
     return BlockDone(mask, counts, good)
+
+
+def choose_pairs(reach: FieldReach, given: BlockJob) -> tuple[Reach, np.ndarray]:
+    """Return the pairs that may be assigned, and the index of the pair of each positioner in each realization, or -1.
+
+    A realization uses the same subpriorities and random numbers as the survey with the seed of the realization.
+    """
+    targets, n_sharing = given.job.field.targets, reach.applied.instrument.focal_plane.arrays.n_sharing
+    columns, method, n = targets.columns, given.job.model.options.method, len(targets.id)
+    rank, is_required, science = np.zeros(n, dtype=np.int64), None, np.ones(n, dtype=bool)
+    if columns.kind is not None:
+        science = has_role(columns.kind, "science")
+    if method.uses_priorities:
+        is_required = columns.is_required
+        if columns.priority is not None:
+            rank = np.unique(-columns.priority, return_inverse=True)[1].reshape(-1).astype(np.int64)
+    problem = RuleProblem.of(reach.allowed, rank, science, is_required, id_numbers(targets.id), n_sharing)
+    pairs, chosen = problem.pairs, np.empty((len(given.seeds), problem.pairs.n_positioners), dtype=np.int64)
+    is_open, rng = np.ascontiguousarray(given.left.T) > 0, None
+    for r, seed in enumerate(given.seeds if len(pairs.owner) else ()):
+        if method.uses("rng"):
+            rng = np.random.default_rng(np.random.SeedSequence(seed, spawn_key=given.job.seed.spawn_key))
+        answer = method.rule(problem, subpriorities_of(problem.number, seed), is_open[r], rng)
+        kernels.find_pairs(pairs.indptr, pairs.owner, answer.target_of_positioner, chosen[r])
+    return pairs, chosen
 
 
 def reach_counts(job: Job) -> np.ndarray:
@@ -118,19 +141,11 @@ class Poses:
         columns = self._columns
         if len(columns.runs) + len(columns.obstacle_pairs) == 0:
             return
-        setup = make_setup(columns, self._parked)
-        uncertain = np.empty(len(chosen), dtype=bool)
-        kernels.find_lost(
-            chosen,
-            self._segments,
-            self._idle,
-            setup,
-            columns.obstacle_slack,
-            make_workspace(self._plane),
-            lost,
-            uncertain,
-        )
-        for r in np.flatnonzero(uncertain):
+        setup, times = make_setup(columns, self._parked), np.zeros(chosen.shape, dtype=np.int64)
+        poses = chosen, self._segments, self._idle
+        counts = count_poses(self._plane, setup, *poses, times, columns.obstacle_slack)
+        lost[:] = (times > 0) & (chosen >= 0)
+        for r in np.flatnonzero(counts[:, BORDERLINE]):
             lost[r] = self._lost_exactly(chosen[r])
 
     def _lost_exactly(self, pair: np.ndarray) -> np.ndarray:

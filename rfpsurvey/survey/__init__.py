@@ -1,10 +1,12 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey.survey._cadences import Cadences
-from rfpsurvey.survey._history import SurveyState, VisitRule
+from rfpsurvey.survey._columns import survey_facts
 from rfpsurvey.survey._history._diff import diff_surveys
-from rfpsurvey.survey._history._status import survey_status
-from rfpsurvey.survey._joint import JOINT, JointOptions
+from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._history._state import SurveyState
+from rfpsurvey.survey._history._status import status_facts, survey_status
+from rfpsurvey.survey._joint._options import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import in_order
@@ -25,6 +27,8 @@ __all__ = [
     "plan_survey",
     "prepare_request",
     "reach_of",
+    "status_facts",
+    "survey_facts",
     "survey_status",
     "work",
 ]

@@ -3,9 +3,9 @@
 import numpy as np
 
 from rfpsurvey._roles import has_role
-from rfpsurvey.pipeline import FieldBuilder, FieldRows, Outcome, category_classes, priority_classes
-from rfpsurvey.survey._flags import DONE, EXCLUDED, LOST, REACHED, SEEN, flags_of
-from rfpsurvey.survey._work import reach_of
+from rfpsurvey.pipeline import FieldRows, Outcome, category_classes, priority_classes
+from rfpsurvey.survey._cadences import Windows
+from rfpsurvey.survey._work import DONE, EXCLUDED, LOST_IN_COLLISION, REACHED, SEEN, flags_of, reach_of
 
 
 class Tally:
@@ -46,36 +46,63 @@ class Tally:
         self.n_observed[number] += np.bincount(self.class_of[slot], minlength=len(self.names))
         np.add.at(self.n_complete, (last, self.class_of[complete]), 1)
 
+    def until(self, number: int) -> tuple[list[str], np.ndarray]:
+        """Return the names of the classes, and their numbers after a pass.
+
+        The numbers are those of targets, requested visits, successful visits, and complete targets.
+        """
+        observed, complete = (one[: number + 1].sum(axis=0) for one in (self.n_observed, self.n_complete))
+        return self.names, np.column_stack([self.n_targets, self.n_requested, observed, complete])
+
+
+def classes_by_column(
+    priority: np.ndarray | None, category: np.ndarray | None, wanted: np.ndarray
+) -> dict[str, tuple[np.ndarray, list[str]]]:
+    """Return the class of each target, and the names of the classes, for each column of labels.
+
+    These are the priorities and, if there are several, the categories. Only targets with requested visits (``wanted``)
+    define the classes.
+    """
+    classes = {"priority": priority_classes(priority, wanted), "category": category_classes(category, wanted)}
+    return {column: one for column, one in classes.items() if column == "priority" or len(one[1]) > 1}
+
+
+def rows_by_class(counts: dict[str, tuple[list[str], np.ndarray]]) -> list[tuple]:
+    """Return rows of labels and numbers for all targets and, if there are several classes, for each class.
+
+    ``counts`` contains, for each column of labels, the names of the classes, and an array with a row for each class.
+    """
+    rows = [(*["all"] * len(counts), *counts["priority"][1].sum(axis=0).tolist())]
+    for column, (names, values) in counts.items():
+        for name, numbers in zip(names, values.tolist(), strict=True) if len(names) > 1 else ():
+            rows.append((*(name if column == other else "all" for other in counts), *numbers))
+    return rows
+
 
 class Bookkeeping:
     """Record of the visits of each target; tiles that share no target can be recorded in any order.
 
     Parameters
     ----------
-    builder : FieldBuilder
-        The targets, with their requested numbers of visits. The *slot* of a target is its index in the arrays of the
-        builder and of this class.
-    n_passes : int
-        Number of passes.
-    in_turn : bool
-        Whether the passes are planned one after the other.
-    windows : Windows, optional
-        The windows of cadences.
+    request : Request
+        The targets, with their requested numbers of visits, and the tiles. The *slot* of a target is its index in the
+        arrays of ``request.builder`` and of this class.
     """
 
-    def __init__(self, builder: FieldBuilder, *, n_passes: int, in_turn: bool, windows=None):
-        self.windows = windows
+    def __init__(self, request):
+        builder, n_passes, self._number, self.windows = request.builder, len(request.passes), request.number, None
+        if request.cadences is not None:
+            cadences, row = request.cadences
+            self.windows = Windows(cadences, request.source.to_slots(row), request.days, request.brightness)
         self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
         self._lasting = builder.lasting
         self._surplus = builder.surplus
-        priority, category = (builder.source.by_slot(name) for name in ("priority", "category"))
+        classes = classes_by_column(*(builder.source.by_slot(name) for name in ("priority", "category")), self.wanted)
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
-        self.tallies = {"priority": Tally(*priority_classes(priority, self.wanted), self.wanted, n_passes)}
-        classes = category_classes(category, self.wanted)
-        if len(classes[1]) > 1:
-            self.tallies["category"] = Tally(*classes, self.wanted, n_passes)
+        self.tallies = {column: Tally(*one, self.wanted, n_passes) for column, one in classes.items()}
         # the index of the last pass in which each target was visited; if passes are planned one after the other, this
         # is the pass of the tile that `enter` records, and no array is required
+        in_turn = request.order == "color" and self.windows is None
         self._last = None if in_turn else np.zeros(len(self.wanted), dtype=np.min_scalar_type(n_passes))
         made = np.flatnonzero(self.done())
         if len(made):  # visits that were made before belong to the first pass
@@ -94,7 +121,7 @@ class Bookkeeping:
         closed = slot[is_closed]
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
             reach = reach_of(job)
-            self.flags[closed] |= flags_of(reach.pairs.covered, reach.excluded)[is_closed]
+            self.flags[closed] |= flags_of(reach.pairs.covered, reach.applied.excluded)[is_closed]
         left, self.left[closed] = self.left[closed], 0
         job = request.job(tile, self.left)
         self.left[closed] = left
@@ -106,24 +133,15 @@ class Bookkeeping:
         columns = targets.columns._replace(subpriority=-order.astype(float))
         return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
 
-    def enter(
-        self,
-        field: FieldRows,
-        flags: np.ndarray,
-        slot: np.ndarray,
-        observed: np.ndarray,
-        number: int,
-        tile: int | None = None,
-    ) -> int:
+    def enter(self, tile: int, field: FieldRows, flags: np.ndarray, target: np.ndarray, observed: np.ndarray) -> int:
         """Record the visits of a tile, and return the number of successful visits to science targets.
 
-        ``number`` is the index of the pass of the tile, and ``tile`` its row, which windows require. ``flags`` contains
-        the flags of the targets of the field (see `flags_of`). ``slot`` is the slot of the target of each visit (-1 for
-        blank sky), and ``observed`` states whether each visit was successful.
+        ``flags`` contains the flags of the targets of the field (see `flags_of`). ``target`` is the index of the target
+        of each visit in the field (-1 for blank sky), and ``observed`` states whether each visit was successful.
         """
         self.flags[field.slot] |= flags
-        slot, observed = slot[slot >= 0], observed[slot >= 0]
-        self.flags[slot[~observed]] |= LOST
+        slot, observed, number = field.slot[target[target >= 0]], observed[target >= 0], self._number[tile]
+        self.flags[slot[~observed]] |= LOST_IN_COLLISION
         slot = slot[observed]
         self.flags[slot] |= DONE
         if self.spends is not None:
@@ -178,5 +196,5 @@ def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
     code[(flags & SEEN) > 0] = Outcome.OUT_OF_REACH
     code[(flags & EXCLUDED) > 0] = Outcome.EXCLUDED_BY_A_CONSTRAINT
     code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
-    code[(flags & LOST) > 0] = Outcome.LOST_TO_A_COLLISION
+    code[(flags & LOST_IN_COLLISION) > 0] = Outcome.LOST_TO_A_COLLISION
     return code

@@ -6,7 +6,6 @@ import os
 from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC, date, datetime
-from functools import partial
 from pathlib import Path
 
 from astropy.table import QTable
@@ -15,6 +14,7 @@ from rfpsurvey._folder import INDEX, RequestFolder, load_request, read_verified
 from rfpsurvey._io import write_bytes, write_table, written
 from rfpsurvey._readers import content_of, is_present
 from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.constraints import with_present_texts
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -35,35 +35,30 @@ class Folder(RequestFolder):
     ----------
     path : str or path-like
         Path of the folder, which need not exist.
-    request : dict
-        The request of the survey; a survey can only be continued with the same request, or with further tiles.
-    n_tiles : int
-        Number of tiles.
+    request : Request
+        The request of the survey. A survey can only be continued with the same request, or with further tiles. Plans of
+        tiles that the state of the request does not keep are planned again.
     resume : bool
         Whether to continue an unfinished survey.
-    state : SurveyState, optional
-        State of the survey that is planned; plans of tiles that it does not keep are planned again.
-    of_first_tiles : callable
-        Function that returns the entries of the request for the first tiles, as `Request.of_first_tiles` does.
     """
 
     request_name = "survey.json"
     work, parts = "survey", "tiles"
 
-    def __init__(
-        self, path: object, request: dict, n_tiles: int, *, resume: bool, of_first_tiles: Callable, state=None
-    ):
-        super().__init__(path, request, resume=resume)
-        self._n, self._state, self._is_new_state = n_tiles, state, False
-        self._of_first_tiles, self._has_more_tiles = of_first_tiles, False
+    def __init__(self, path: object, request, *, resume: bool):
+        super().__init__(path, request.recorded(), resume=resume)
+        state, self._n, self._of_first_tiles = request.state, len(request.tiling), request.of_first_tiles
+        self._state, self._is_new_state, self._has_more_tiles = state, False, False
         if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
 
-    def _compare(self, before: dict):
+    def _compare(self, before: dict, now: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
         # earlier versions did not write all entries; the entry required, which can be a digest, is compared
-        before = {"given": self._request["given"], "extra": self._request["extra"], **before}
-        before["required_ids"] = self._request["required_ids"]
+        before = {"given": now["given"], "extra": now["extra"], **before, "required_ids": now["required_ids"]}
+        before = with_present_texts(before, now)
+        # those of the first plan
+        now["columns"] = self._request["columns"] = before.setdefault("columns", now["columns"])
         self._planned = before.pop("planned", "")
         if self._state is None or self._state.folder.resolve() != self.path.resolve():
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
@@ -71,19 +66,15 @@ class Folder(RequestFolder):
                     f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
                     "(or --replan)"
                 )
-            own = self._request
-            self._request = own | self._for_tiles_of(before, own)
+            now |= self._for_tiles_of(before, now)
+            n, more = (number_in(str(one.get("tiles"))) for one in (before, now))
             try:
-                super()._compare(before)
+                super()._compare(before, now)
             except InputError as error:
-                n, more = (number_in(str(one.get("tiles"))) for one in (before, self._request))
                 remedy = f", or tiles of which the first {n} are those of this folder in the same order"
                 raise InputError(f"{error}{remedy if more > n else ''}") from None
-            finally:
-                self._request = own
             return
         self._state.check_current()
-        now = self._request
         now["first"]["visits"] = before.get("first", before).get("visits")
         first, now_first = (
             {k: v for k, v in one.items() if k != "visits"} for one in (before.get("first", {}), now["first"])
@@ -93,22 +84,21 @@ class Folder(RequestFolder):
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
         own_first = self._for_tiles_of(first, now_first)
         now_first |= {name: own_first[name] for name in ("passes", "tiles") if name in own_first}
-        changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         is_finished = not self._is_new_state and (self.path / TABLES[0]).is_file()
-        same = {name: value for name, value in now.items() if name not in changed}
-        same["instrument"], before = _instrument_of(now), {**before, "instrument": _instrument_of(before)}
-        earlier = {name: value for name, value in before.items() if name not in changed}
-        own, self._request = self._request, {**same, **now_first}
+        changed = ("catalog", "passes", "tiles", "visits", "events", "first")
+        earlier, same = (
+            {name: value for name, value in one.items() if name not in changed} | {"instrument": _instrument_of(one)}
+            for one in (before, now)
+        )
         try:
-            super()._compare({**earlier, **first})
+            super()._compare({**earlier, **first}, {**same, **now_first})
         except InputError as error:
             text = str(error).replace(
                 "; give another folder", "; all options except visits must be those of the first plan"
             )
             raise InputError(text) from None
-        finally:
-            self._request = own | {"planned": self._planned if is_finished else today()}
+        self._request["planned"] = self._planned if is_finished else today()
 
     def _for_tiles_of(self, before: dict, now: dict) -> dict:
         """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""
@@ -162,10 +152,6 @@ class Folder(RequestFolder):
         stem = Path(name).stem
         return name in ABOUT or (stem.isdigit() and int(stem) < self._n and name == part_name(int(stem)))
 
-    def part(self, tile: int) -> bytes | None:
-        """Return the stored result of the tile in row ``tile`` of the tiling, or None if there is no valid result."""
-        return self._content(part_name(tile), partial(self.distrust, tile))
-
     def has_part(self, tile: int, digest: str) -> bool:
         """Return whether the file of a tile has a checksum, which is also that in the index."""
         name = part_name(tile)
@@ -191,11 +177,8 @@ class Folder(RequestFolder):
         else:
             self.record(part_name(tile), *part)
 
-    def file(self, name: str) -> bytes | None:
-        """Return the content of a file, or None if there is no valid file; a damaged file causes a warning."""
-        return self._content(name, warn)
-
-    def _content(self, name: str, complain: Callable[[str], None]) -> bytes | None:
+    def file(self, name: str, complain: Callable[[str], None] = warn) -> bytes | None:
+        """Return the content of a file, or None if there is no valid file; ``complain`` is called for damaged files."""
         try:
             return read_verified(self.path, name, self._known) if name in self._known else None
         except InputError as error:

@@ -28,8 +28,10 @@ from rfpsurvey.errors import (
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._folder import with_recorded_moves
-from rfpsurvey.survey._history import SurveyState, VisitRule, first_visits, in_memory
-from rfpsurvey.survey._joint import JointOptions, as_joint
+from rfpsurvey.survey._history._catalogs import first_visits, in_memory
+from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._history._state import SurveyState
+from rfpsurvey.survey._joint._options import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run

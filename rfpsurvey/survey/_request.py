@@ -17,27 +17,21 @@ from rfpsurvey.errors import InputError, number_of, warn
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.survey._bookkeeping import Bookkeeping
-from rfpsurvey.survey._cadences import Windows, brightness_of, days_of
+from rfpsurvey.survey._cadences import brightness_of, days_of
 from rfpsurvey.survey._folder import number_in
-from rfpsurvey.survey._history import SurveyState
+from rfpsurvey.survey._history._catalogs import column_digests, digest_of, extra_digest
+from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._order import make_rounds
 from rfpsurvey.survey._source import digest
 from rfpsurvey.survey._work import Job, Model
 from rfpsurvey.tile import versions
-from rfpsurvey.tiling import (
-    Tiling,
-    conditions_of_tiles,
-    largest_field_rad,
-    places_of_tiles,
-    times_of_tiles,
-    years_of_tiles,
-)
+from rfpsurvey.tiling import FieldsOfTiles, Tiling, conditions_of_tiles, times_of_tiles
 
 FIELDS_DIFFER = 0.01
 
 
 @dataclass(frozen=True, eq=False)
-class Request:
+class Request(FieldsOfTiles):
     """Targets, tiles, instrument and options of a survey.
 
     The *slot* of a target is its index in the arrays that describe the state of a survey (`Bookkeeping`).
@@ -80,26 +74,6 @@ class Request:
         return self.builder.source
 
     @cached_property
-    def radius_rad(self) -> float:
-        """Radius of the largest field in radians."""
-        return largest_field_rad(self.tiling, self.conditions, self.instrument)
-
-    @cached_property
-    def years(self) -> np.ndarray | None:
-        """Time of each tile since the reference epoch, in years; None if the targets are not moved to these times."""
-        return years_of_tiles(self.tiling, self.reference)
-
-    @cached_property
-    def margin_rad(self) -> float:
-        """Upper limit of the angle (radians) by which any target moves between the reference epoch and a tile."""
-        return 0.0 if self.years is None else float(np.abs(self.years).max()) * self.source.fastest_rad
-
-    @cached_property
-    def conditions(self) -> list | None:
-        """Observing conditions of each tile; None if refraction is neglected."""
-        return conditions_of_tiles(self.tiling)
-
-    @cached_property
     def rounds(self) -> list[np.ndarray]:
         """Rows of the tiles of each round; the tiles of a round share no targets and can be planned simultaneously."""
         reach = 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9)
@@ -130,18 +104,13 @@ class Request:
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
-        windows = None
-        if self.cadences is not None:
-            cadences, row = self.cadences
-            windows = Windows(cadences, self.source.to_slots(row), self.days, self.brightness)
-        in_turn = self.order == "color" and windows is None
-        return Bookkeeping(self.builder, n_passes=len(self.passes), in_turn=in_turn, windows=windows)
+        return Bookkeeping(self)
 
     def job(self, tile: int, left: np.ndarray) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
         years, center = 0.0 if self.years is None else float(self.years[tile]), self.tiling.vectors[tile]
         field = self.builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
-        name, *where = self._names[tile], *self._places[tile].tolist()
+        name, *where = self._names[tile], *self.places[tile].tolist()
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
         epoch = self.epoch if self.years is None else f"J{self.reference.jyear + years:.6f}"
@@ -150,10 +119,6 @@ class Request:
     @cached_property
     def _names(self) -> list:
         return np.asarray(self.tiling.table["tile"]).tolist()
-
-    @cached_property
-    def _places(self) -> np.ndarray:
-        return places_of_tiles(self.tiling)
 
     @cached_property
     def software(self) -> dict:
@@ -217,6 +182,17 @@ class Request:
             tiles = tiles_digest(tiling, conditions_of_tiles(tiling))
             first = {"first": {"passes": passes, "tiles": tiles, "catalog": self.state.digest}}
         return {**about, **first, **self._events, **self._of_tiles, "software": self.software}
+
+    def recorded(self) -> dict:
+        """Return the dict that the folder of the survey contains: `identity`, and digests of the catalog as given."""
+        columns = ("visits", *self.provenance["rule_columns"])
+        return {
+            **self.identity(),
+            "given": digest_of(self.given),
+            "extra": extra_digest(self.given),
+            "columns": column_digests(self.given, columns),
+            "required_ids": [str(one) for one in self.options.required_ids],
+        }
 
     @property
     def _of_tiles(self) -> dict:
@@ -291,16 +267,7 @@ def tiles_digest(tiling: Tiling, conditions: list | None) -> str:
 
 
 def make_request(
-    source,
-    tiling: Tiling,
-    instrument: Instrument,
-    options: AllocationOptions,
-    *,
-    visits,
-    passes,
-    joint,
-    state,
-    **others,
+    source, tiling: Tiling, instrument: Instrument, options: AllocationOptions, *, visits, passes, state, **others
 ) -> Request:
     """Return the request of a survey, or raise an error if it is not valid."""
     if len(source) == 0:
@@ -333,7 +300,4 @@ def make_request(
     made, dropped = (None, None) if state is None else (state.observed, state.dropped)
     has_cadences = others["cadences"] is not None
     builder = FieldBuilder(source, options, instrument, visits, made=made, dropped=dropped, has_cadences=has_cadences)
-    if joint is not None and has_cadences:  # these plans count all fibers of a target as visits
-        builder.lasting = None
-    others |= {"joint": joint, "state": state, "first": first}
-    return Request(builder, tiling, place, passes, instrument, options, **others)
+    return Request(builder, tiling, place, passes, instrument, options, state=state, first=first, **others)

@@ -94,23 +94,15 @@ class Partitioned:
         return max(self._part(k).fastest_rad for k in range(len(self._parts.files)))
 
     def field(
-        self,
-        center: np.ndarray,
-        radius_rad: float,
-        left: np.ndarray,
-        *,
-        rest_rad: float | None = None,
-        years: float = 0.0,
-        margin_rad: float = 0.0,
-        around_rad: float | None = None,
-        always: np.ndarray | None = None,
+        self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, always: np.ndarray | None = None, **more
     ) -> FieldRows:
         """Return the targets in a circle that still require a visit, as in `CatalogTargets.field`.
 
-        ``left`` is the number of remaining visits of each target, in the order of slots, as ``always``.
+        ``left`` is the number of remaining visits of each target, in the order of slots, as ``always``. The further
+        parameters are those of `CatalogTargets.field`.
         """
-        more = {"rest_rad": rest_rad, "years": years, "margin_rad": margin_rad, "around_rad": around_rad}
-        found, wider = [], margin_rad + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
+        rest_rad, around_rad = more.get("rest_rad"), more.get("around_rad")
+        found, wider = [], more.get("margin_rad", 0.0) + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
         for k in self._parts.near(center, radius_rad + wider).tolist():
             first, last = self._first[k : k + 2]
             own = None if always is None else always[first:last]

@@ -10,13 +10,14 @@ import numpy as np
 from astropy.table import QTable, Table, vstack
 
 from rfpsurvey import _io
+from rfpsurvey._descriptions import describe, with_unit
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
+from rfpsurvey.survey._columns import OUTCOME, TILES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
-from rfpsurvey.survey._result import OUTCOME, TILES
-from rfpsurvey.tile import describe, with_unit
+from rfpsurvey.survey._work import VISITS_UNITS
 
 # Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
 COLUMNS = (
@@ -44,11 +45,13 @@ class Survey:
         ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,
         see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms unfold, and positioners
         that need a path planner), ``n_lost_to_rules`` (science targets that rules on the distribution of fibers cost,
-        not for joint plans), ``n_unmet`` (requirements that are not met; all required targets of a tile count as one,
-        and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the requirements that
-        are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules: those for which this
-        tile lacks data), ``n_observed`` (successful visits to science targets), ``collision_rate`` (``n_colliding``
-        divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the number of usable positioners),
+        not for joint plans), ``n_also_science`` (science targets that also meet requirements on standard stars or sky
+        positions, if there are any), ``n_unmet`` (requirements that are not met; all required targets of a tile count
+        as one, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
+        requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
+        those for which this tile lacks data), ``n_observed`` (successful visits to science targets),
+        ``collision_rate`` (``n_colliding`` divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the
+        number of usable positioners),
         ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
         visits of these targets; NaN if no visits were requested). Its ``meta`` has ``summary`` and ``provenance``.
     completeness : QTable
@@ -183,7 +186,7 @@ class Survey:
             rows = _io.read_fits_bytes(read_verified(self.folder, name, self._known), self.folder / name)[0]
             _check_columns(self.folder / name, rows.dtype.names, VISITS)
         table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
-        units = {"ra": "deg", "dec": "deg", **self.provenance.get("units", {})}
+        units = VISITS_UNITS | self.provenance.get("units", {})
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
         return table
@@ -267,7 +270,7 @@ class Survey:
         InputError
             If the catalog is another one, if the survey has cadences, or if a file of events is missing or damaged.
         """
-        from rfpsurvey.survey._history import SurveyState
+        from rfpsurvey.survey._history._state import SurveyState
 
         return SurveyState.read(self.folder, catalog, rule=rule, visits=visits, until=until)
 

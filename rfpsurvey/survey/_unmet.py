@@ -1,23 +1,41 @@
 """Requirements that tiles of a survey do not meet: counts per tile, text of each tile, and sentences for the survey."""
 
 import zlib
-from collections.abc import Callable, Iterable
+from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey.allocation import AllocationOptions, Shortfall
-from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS, Constraint, KeepOut, Verdict
+from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS, Constraint, KeepOut
 from rfpsurvey.errors import listed, number_of
+from rfpsurvey.pipeline import FieldPlan
 
-MISSING, EXCESS, VIOLATED, UNKNOWN = "missing ", "too many ", "violations ", f"{NOT_CHECKABLE} "
+MISSING, EXCESS, VIOLATED = "missing", "too many", "violations"
 TAG = "0123456789ABCDEFGHIJKLMNOPQRSTUVWXYZ"
-WORDS = (MISSING, EXCESS, VIOLATED, UNKNOWN)
 REQUIRED = "required targets"
 MOST_TILES = 5
 """Largest number of tiles that a sentence lists."""
 
 
-def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
+class CountOfRule(NamedTuple):
+    """The name of a number of missing targets, of targets above a maximum, or of violations, in the plan of a tile."""
+
+    what: str
+    """Text of the constraint."""
+    word: str
+    """Text on the number; ``not checkable`` if it is 1 for a plan that lacks the data of the constraint."""
+
+    def text(self, n: int) -> str:
+        """Return text on the number, such as "sky=20: 3 missing"."""
+        return f"{self.what}: {n} {self.word.removesuffix('s') if n == 1 else self.word}"
+
+
+def is_unknown(name: str | CountOfRule) -> bool:
+    """Return whether a number states that a constraint is not checkable."""
+    return isinstance(name, CountOfRule) and name.word == NOT_CHECKABLE
+
+
+def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[CountOfRule, str]]:
     """Return header cards of the file of a tile for the targets that requirements lack, as in ``COUNTS``.
 
     Each requirement has a card for the number of missing targets and, if it has a maximum, a card for the number of
@@ -28,19 +46,19 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[str, str]]:
     cards, tags = {}, _tags([*map(str, options.counts), *map(str, options.constraints)])
     for one in options.counts:
         tag = tags[str(one)]
-        cards[f"MISS{tag}"] = f"{MISSING}{one}", "targets that a requirement lacks"
+        cards[f"MISS{tag}"] = CountOfRule(str(one), MISSING), "targets that a requirement lacks"
         if one.maximum is not None:
-            cards[f"MORE{tag}"] = f"{EXCESS}{one}", "targets above the maximum of a requirement"
+            cards[f"MORE{tag}"] = CountOfRule(str(one), EXCESS), "targets above the maximum of a requirement"
     if options.required_ids:
-        cards["MISSREQ"] = f"{MISSING}{REQUIRED}", "required targets of the field without a fiber"
+        cards["MISSREQ"] = CountOfRule(REQUIRED, MISSING), "required targets of the field without a fiber"
     if options.keep_out:
-        cards["VIOLKEEP"] = f"{VIOLATED}{KeepOut.name}", "violations of keep-out circles"
+        cards["VIOLKEEP"] = CountOfRule(KeepOut.name, VIOLATED), "violations of keep-out circles"
     for one in options.constraints:
         if one.uses_field:
             tag = tags[str(one)]
-            cards[f"VIOL{tag}"] = f"{VIOLATED}{one}", "violations of a constraint"
+            cards[f"VIOL{tag}"] = CountOfRule(str(one), VIOLATED), "violations of a constraint"
             if type(one).verdict is not Constraint.verdict:
-                cards[f"NOTC{tag}"] = f"{UNKNOWN}{one}", "1 if the constraint is not checkable"
+                cards[f"NOTC{tag}"] = CountOfRule(str(one), NOT_CHECKABLE), "1 if the constraint is not checkable"
     return cards
 
 
@@ -57,65 +75,50 @@ def _tags(texts: list[str]) -> dict[str, str]:
     return found
 
 
-def counts_in(cards: dict[str, int], counted: dict[str, tuple[str, str]]) -> dict[str, int]:
+def counts_in(cards: dict[str, int], counted: dict[str, tuple[str | CountOfRule, str]]) -> dict[str | CountOfRule, int]:
     """Return the counts in the header cards of a tile; constraints that the tile did not have are not checkable."""
     found = {}
     for card, (name, _) in counted.items():
-        found[name] = cards.get(card, int(name.startswith(UNKNOWN)))
-        if card not in cards and name.startswith(WORDS):
-            found[f"{UNKNOWN}{_words(name)[0]}"] = 1
+        found[name] = cards.get(card, int(is_unknown(name)))
+        if card not in cards and isinstance(name, CountOfRule):
+            found[name._replace(word=NOT_CHECKABLE)] = 1
     return found
 
 
-def shortfall_counts(
-    unmet: Iterable[Shortfall],
-    violations: dict[str, list[str]],
-    options: AllocationOptions,
-    verdicts: Callable[[], list[Verdict]],
-) -> dict[str, int]:
+def shortfall_counts(plan: FieldPlan, options: AllocationOptions) -> dict[CountOfRule, int]:
     """Return the numbers of missing targets, of targets above maxima, and of violations, for the cards of a tile."""
     found = {name: 0 for name, _ in shortfall_cards(options).values()}
-    if any(name.startswith(UNKNOWN) for name in found):
+    if any(map(is_unknown, found)):
         checked = [one for one in options.all_constraints if one.uses_field]
-        for one, verdict in zip(checked, verdicts(), strict=True):
+        for one, verdict in zip(checked, plan.verdicts(), strict=True):
             if verdict.verdict == NOT_CHECKABLE:
-                found[f"{UNKNOWN}{one}"] = 1
-    for one in unmet:
-        sign = MISSING if one.requested > one.found else EXCESS
-        found[f"{sign}{REQUIRED if one.requirement is None else one.requirement}"] += abs(one.requested - one.found)
-    for text, sentences in violations.items():
-        name = f"{VIOLATED}{text}"
+                found[CountOfRule(str(one), NOT_CHECKABLE)] = 1
+    for one in plan.allocation.unmet:
+        what = REQUIRED if one.requirement is None else str(one.requirement)
+        found[CountOfRule(what, MISSING if one.requested > one.found else EXCESS)] += abs(one.requested - one.found)
+    for text, sentences in plan.violations.items():
+        name = CountOfRule(text, VIOLATED)
         if name not in found:  # the count of keep-out circles has their name only
-            name = f"{VIOLATED}{text.partition(' ')[0]}"
+            name = CountOfRule(text.partition(" ")[0], VIOLATED)
         if name in found:
             found[name] += len(sentences)
     return found
 
 
-def without_shortfalls(counts: dict[str, np.ndarray]) -> tuple[dict, dict]:
-    """Divide the counts of all tiles into the counts that become columns, and the numbers of missing targets."""
-    lacking = {name: values for name, values in counts.items() if name.startswith(WORDS)}
-    return {name: values for name, values in counts.items() if name not in lacking}, lacking
-
-
-def texts_of(lacking: dict[str, np.ndarray], *, unknown: bool = False) -> list[str]:
+def texts_of(lacking: dict[CountOfRule, np.ndarray], *, unknown: bool = False) -> list[str]:
     """Return, for each tile, text such as "sky=20: 3 missing, standard=5: 1 missing"; empty if nothing is missing.
 
     If ``unknown`` is true, the text contains only the constraints that are not checkable.
     """
-    lacking = {_words(name): values for name, values in lacking.items() if name.startswith(UNKNOWN) == unknown}
+    lacking = {name: values for name, values in lacking.items() if is_unknown(name) == unknown}
     rows = zip(*(values.tolist() for values in lacking.values()), strict=True)
     return [
-        ", ".join(
-            what if unknown else f"{what}: {_amount(n, word)}"
-            for (what, word), n in zip(lacking, row, strict=True)
-            if n
-        )
+        ", ".join(name.what if unknown else name.text(n) for name, n in zip(lacking, row, strict=True) if n)
         for row in rows
     ]
 
 
-def rule_records(lacking: dict[str, np.ndarray], tiles: np.ndarray, kept: np.ndarray | slice) -> list[dict]:
+def rule_records(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray, kept: np.ndarray | slice) -> list[dict]:
     """Return, for each constraint, the numbers of tiles with each verdict, and the tiles that fail.
 
     ``kept`` selects the tiles that are not dropped.
@@ -124,10 +127,9 @@ def rule_records(lacking: dict[str, np.ndarray], tiles: np.ndarray, kept: np.nda
     """
     found, tiles = {}, tiles[kept]
     for name, values in lacking.items():
-        what, word = _words(name)
-        if what != REQUIRED:
-            one = found.setdefault(what, {FAIL: np.zeros(len(tiles), dtype=bool), NOT_CHECKABLE: False})
-            one[NOT_CHECKABLE if word == NOT_CHECKABLE else FAIL] |= values[kept] > 0
+        if name.what != REQUIRED:
+            one = found.setdefault(name.what, {FAIL: np.zeros(len(tiles), dtype=bool), NOT_CHECKABLE: False})
+            one[NOT_CHECKABLE if is_unknown(name) else FAIL] |= values[kept] > 0
     return [
         {
             "rule": what,
@@ -140,23 +142,13 @@ def rule_records(lacking: dict[str, np.ndarray], tiles: np.ndarray, kept: np.nda
     ]
 
 
-def sentences_of(lacking: dict[str, np.ndarray], tiles: np.ndarray) -> list[str]:
+def sentences_of(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray) -> list[str]:
     """Return a sentence for each requirement that tiles do not meet, which names the first of these tiles."""
     found = []
     for name, values in lacking.items():
         rows = np.flatnonzero(values)
-        what, word = _words(name)
-        if len(rows) and what != REQUIRED and word != NOT_CHECKABLE:  # later tiles can observe required targets
+        if len(rows) and name.what != REQUIRED and not is_unknown(name):  # later tiles can observe required targets
             where = f"{len(rows)} of {number_of(len(tiles), 'tile')} ({listed(tiles[rows].tolist(), MOST_TILES)})"
-            kind = "constraint" if word == VIOLATED.strip() else "requirement"
-            found.append(f"{kind} {what}: {_amount(int(values.sum()), word)} in {where}")
+            kind = "constraint" if name.word == VIOLATED else "requirement"
+            found.append(f"{kind} {name.text(int(values.sum()))} in {where}")
     return found
-
-
-def _words(name: str) -> tuple[str, str]:
-    word = next(word for word in WORDS if name.startswith(word))
-    return name.removeprefix(word), word.strip()
-
-
-def _amount(n: int, word: str) -> str:
-    return f"{n} {word.removesuffix('s') if n == 1 else word}"

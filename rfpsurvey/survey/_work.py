@@ -9,56 +9,20 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey._descriptions import COPIED, VISITS_COLUMNS, text_of
 from rfpsurvey._io import fits_bytes, table_cards, write_new_file
-from rfpsurvey._roles import has_role
+from rfpsurvey._roles import count_also_science, has_role
 from rfpsurvey.allocation import KINDS, AllocationOptions
 from rfpsurvey.errors import listed, number_of
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions
 from rfpsurvey.pipeline import BlankIds, FieldPlan, FieldReach, FieldRows, early_violations, find_reach, plan_field
-from rfpsurvey.survey._flags import flags_of
-from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, shortfall_cards, shortfall_counts
-from rfpsurvey.tile import KEPT_COLUMN, TARGET_COLUMNS
+from rfpsurvey.survey._columns import ALSO_SCIENCE, COUNTS, LOST, LOST_TO_RULES, MOTION
+from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, CountOfRule, shortfall_cards, shortfall_counts
 
-# Header cards of the file of a tile, with the name of the count and the comment of each card.
-N_FIELD, N_LOST = "NFIELD", "NLOST"
-COUNTS = {
-    N_FIELD: ("n_in_field", "targets in the field with remaining visits"),
-    "NREACH": ("n_reachable", "targets in reach with remaining visits"),
-    "NASSIGN": ("n_assigned", "usable positioners with a target"),
-    "NSCIENCE": ("n_science", "positioners with a science target"),
-    "NSTANDAR": ("n_standard", "positioners with a standard star"),
-    "NSKY": ("n_sky", "positioners with a sky position"),
-    "NCOLLIDE": ("n_colliding", "positioners in collision"),
-    N_LOST: ("n_colliding_assigned", "usable positioners in collision with a target"),
-    "NCOUNTED": ("n_counted", "positioners that have a target or are parked"),
-    "NPAIRS": ("n_colliding_pairs", "pairs of arms in collision"),
-    "NOBSTACL": ("n_obstacle_collisions", "collisions with obstacles"),
-    "NUNMET": ("n_unmet", "number of requirements that are not met"),
-}
-MOTION = {
-    "NUNFOLD": ("n_unfolding_pairs", "pairs of arms that collide while they unfold"),
-    "NUNFOBST": ("n_unfolding_obstacle_collisions", "collisions of unfolding arms with obstacles"),
-    "NPLANNER": ("n_needs_planner", "positioners that need a path planner"),
-}
-"""Header cards of the file of a tile if a constraint of the plan refers to the motion of the arms."""
-
-LOST = "n_lost_to_rules"
-LOST_TO_RULES = {"NLOSTRUL": (LOST, "science targets that rules cost")}
-"""Header card of the file of a tile if rules refer to the distribution of fibers, and the allocator complies with them.
-
-Tiles of joint plans, and of earlier versions, do not have this card.
-"""
-
-VISITS = {
-    "target_id": "identifier of the target",
-    "target_row": "row in the catalog, -1 for blank sky",
-    "positioner": "identifier of the positioner",
-    "in_collision": "whether the arm of the positioner collides",
-    "observed": "whether the visit counts as an observation",
-    "fiber_type": "fiber type of the fiber on the target",
-    **TARGET_COLUMNS,
-}
+SEEN, REACHED, LOST_IN_COLLISION, DONE, EXCLUDED = 1, 2, 4, 8, 16
+"""Flags that record in which fields and in reach of which positioners a target of a survey was."""
+VISITS_UNITS = {name: one.unit for name, one in VISITS_COLUMNS.items() if one.unit}
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,8 +58,8 @@ class Model:
 
     def cards(self, columns: tuple[str, ...]) -> tuple:
         """Return the FITS header cards that are the same in the files of all tiles."""
-        units = {"ra": "deg", "dec": "deg", **self.units}
-        cards = table_cards("VISITS", columns, {k: VISITS.get(k, KEPT_COLUMN) for k in columns}, units)
+        about = {name: text_of(VISITS_COLUMNS, name, COPIED) for name in columns}
+        cards = table_cards("VISITS", columns, about, VISITS_UNITS | self.units)
         cards["RADESYS"] = ("ICRS", "frame of right ascensions and declinations")
         return tuple(cards.items())
 
@@ -170,6 +134,7 @@ def work(job: Job) -> Done:
         of_kind = {kind: int(has_role(plan.kind, kind).sum()) for kind in KINDS}
     columns.update(plan.carried)
     report = plan.report
+    n_both = count_also_science(plan.kind, [one.what for one in model.options.counts])
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
@@ -182,10 +147,13 @@ def work(job: Job) -> Done:
         "n_obstacle_collisions": len(report.obstacle_pairs),
         **({} if report.motion is None else report.motion.counts),
         **({LOST: max(plan.allocation.meta[LOST], 0)} if LOST in plan.allocation.meta else {}),
+        **({ALSO_SCIENCE.name: n_both} if n_both else {}),
         "n_unmet": len(plan.allocation.unmet),
-        **shortfall_counts(plan.allocation.unmet, plan.violations, model.options, plan.verdicts),
+        **shortfall_counts(plan, model.options),
     }
-    counts["n_unmet"] += sum(n > 0 for name, n in counts.items() if name.startswith(VIOLATED))
+    counts["n_unmet"] += sum(
+        n > 0 for name, n in counts.items() if isinstance(name, CountOfRule) and name.word == VIOLATED
+    )
     plan_id = plan_digest(job.tile, columns["positioner"], columns["target_id"])
     cards = {"TILE": job.tile, "PLANID": (plan_id, "digest of the targets of all positioners")}
     cards |= {"RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
@@ -210,14 +178,24 @@ def plan_digest(tile: int | str, positioner: np.ndarray, target_id: np.ndarray) 
     return hashlib.sha256(text.encode()).hexdigest()[:16]
 
 
-def cards_of(options: AllocationOptions) -> dict[str, tuple[str, str]]:
+def cards_of(options: AllocationOptions) -> dict[str, tuple[str | CountOfRule, str]]:
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
-    return {
-        **COUNTS,
-        **(MOTION if options.motion_law else {}),
-        **(LOST_TO_RULES if options.distributions else {}),
-        **shortfall_cards(options),
-    }
+    counts = (*COUNTS, *(MOTION if options.motion_law else ()), *([LOST_TO_RULES] if options.distributions else ()))
+    counts += (ALSO_SCIENCE,) if options.counts else ()
+    cards = {one.card: (one.name, one.comment or one.text.removeprefix("number of ")) for one in counts}
+    return cards | shortfall_cards(options)
+
+
+def flags_of(in_reach: np.ndarray, excluded: np.ndarray | None) -> np.ndarray:
+    """Return the flags of the targets of a field.
+
+    ``in_reach`` states whether a positioner reaches each target, and ``excluded`` whether constraints exclude it (None
+    if they exclude no target).
+    """
+    flags = np.where(in_reach, SEEN | REACHED, SEEN).astype(np.uint8)
+    if excluded is not None:
+        flags[in_reach & excluded] = SEEN | EXCLUDED
+    return flags
 
 
 def plan_of(job: Job) -> FieldPlan:

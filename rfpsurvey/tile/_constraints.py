@@ -1,20 +1,36 @@
 """Constraints on the plans of other programs: their obstacles, and sentences on the constraints that are violated."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from rfpsurvey._roles import to_kinds
-from rfpsurvey.allocation import AllocationOptions, AllocationProblem, TargetColumns
+from rfpsurvey._roles import count_also_science, to_kinds
+from rfpsurvey._units import from_lonlat
+from rfpsurvey.allocation import AllocationOptions, TargetColumns
 from rfpsurvey.catalog import Finder
 from rfpsurvey.collision import Arms, CollisionReport
-from rfpsurvey.constraints import KINDS, Rule, count_verdicts, sentences
+from rfpsurvey.constraints import KINDS, CountedTargets, Requirement, Rule, sentences
 from rfpsurvey.errors import InputError, warn
-from rfpsurvey.focal_plane import Reach
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import Applied, FieldTargets, apply_constraints
 from rfpsurvey.plans import further_columns
 from rfpsurvey.projection import FieldProjection
+
+
+@dataclass(frozen=True, eq=False)
+class ScoredTargets(CountedTargets):
+    """The targets that have a fiber in the plan of another program, from which requirements are counted."""
+
+    focal_plane: FocalPlane
+    xy: np.ndarray
+    requirements: tuple[Requirement, ...]
+    kind: np.ndarray | None
+    category: np.ndarray | None
+    fiber_type: np.ndarray | None
+
+    def __post_init__(self):
+        self._complete()
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,7 +57,6 @@ class ScoredConstraints:
         each target. The fibers of the positioners ``stuck``, which have no target, observe sky.
         """
         plane, n, more = self.applied.instrument.focal_plane, len(self.xy), len(stuck)
-        none = Reach(np.zeros(n + more + 1, dtype=np.int64), np.empty(0, dtype=np.int64), np.empty(0), len(plane))
         added = {
             "kind": np.full(more, "sky"),
             "category": np.full(more, ""),
@@ -49,19 +64,10 @@ class ScoredConstraints:
         }
         columns = {name: getattr(self.columns, name) for name in added}
         columns = {k: None if v is None else np.append(v, added[k]) for k, v in columns.items()}
-        problem = AllocationProblem(
-            plane,
-            np.vstack([self.xy, np.zeros((more, 2))]),
-            none,
-            np.zeros(n + more, dtype=np.int64),
-            (0.0,),
-            options=self.options,
-            **columns,
-        )
+        targets = ScoredTargets(plane, np.vstack([self.xy, np.zeros((more, 2))]), self.options.counts, **columns)
         target_of = target_of.copy()
         target_of[stuck] = n + np.arange(more)
-        # the table does not state which other targets are in reach
-        lacking = [replace(one, possible=one.requested, hint="") for one in problem.shortfalls(target_of)]
+        lacking = targets.shortfalls(target_of)
         owners, types = np.append(who, stuck), np.append(fibers, added["fiber_type"])
         sky, projection = arms.tip[stuck], None if self.applied.field is None else self.applied.field.projection
         vectors = np.full((more, 3), np.nan) if projection is None else projection.unproject(sky, added["fiber_type"])
@@ -69,13 +75,14 @@ class ScoredConstraints:
         violations, verdicts = self.applied.checks(*finished)
         wrong = {one.requirement for one in lacking}
         numbers: dict = {}
-        counts = count_verdicts(problem.groups, problem.counts_of(target_of))
+        counts, kind = targets.verdicts(target_of), self.columns.kind
+        n_both = 0 if kind is None else count_also_science(kind, [one.what for one in self.options.counts])
         for one in counts:
             numbers.setdefault(one.rule, []).append(one.number)
         unknown = "the plan does not have the kinds of its targets"
         counts = [
             one if self._knows(group.requirement.what) else one.unknown(unknown)
-            for one, group in zip(counts, problem.groups, strict=True)
+            for one, group in zip(counts, targets.groups, strict=True)
         ]
         return {
             "n_constraints": len(self.options.all_constraints),
@@ -83,6 +90,7 @@ class ScoredConstraints:
                 bool(violations.get(str(one)) or wrong & {*one.counts}) for one in self.options.all_constraints
             ),
             "requirements": numbers,
+            **({"n_also_science": n_both} if n_both else {}),
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
             "rules": [one.record for one in (*counts, *verdicts())],
         }
@@ -134,8 +142,6 @@ def find_constraints(
     extra = {}
     if options.constraints:
         extra = {name: values[rows] for name, values in further_columns(find.table).items()}
-    lon, lat = np.deg2rad(sky_deg)
-    vectors = np.column_stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
-    targets = FieldTargets(vectors, ids, columns, None, extra)
+    targets = FieldTargets(from_lonlat(*np.deg2rad(sky_deg)), ids, columns, None, extra)
     applied = apply_constraints(instrument, projection, options, targets, xy)
     return ScoredConstraints(options, applied, columns._replace(kind=applied.kind), xy)

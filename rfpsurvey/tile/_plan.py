@@ -20,11 +20,11 @@ from rfpsurvey.allocation import (
     AllocationOptions,
     as_options,
     packages,
-    sentences,
     warn_of_lacks,
     warn_of_unused_options,
 )
-from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text
+from rfpsurvey.catalog import Catalog, as_catalog, choose_epoch, epoch_text, survey_of_north
+from rfpsurvey.constraints import sentences
 from rfpsurvey.errors import InputError, check_keywords, number_of, warn
 from rfpsurvey.instrument import Instrument, as_instrument, choose_projection
 from rfpsurvey.observing import ObservingConditions
@@ -38,17 +38,15 @@ from rfpsurvey.pipeline import (
     plan_field,
     separation_rad,
 )
-from rfpsurvey.tile._build import build_tile
-from rfpsurvey.tile._field import warn_of_north, where
-from rfpsurvey.tile._targets import TargetsOfField, by_positioner, counts_by_kind
+from rfpsurvey.tile._facts import build_tile, split_objectives
+from rfpsurvey.tile._recorded import warn_of_north, where
+from rfpsurvey.tile._table import TableOfTile, TargetsOfField, by_positioner, counts_by_kind
 from rfpsurvey.tile._tile import Tile
 
 # Largest number of objectives in a summary; if there are more, one item is the sum of all further classes.
 MOST_OBJECTIVES = 100
 # Fraction of the science targets from which a warning states that rules on the distribution of fibers cost them.
 COSTLY = 0.03
-# Objectives that include the targets of all classes.
-TOTALS = "any target", "subpriorities"
 STAGES = ("projection", "reach", "allocation", "arms", "collisions")
 log = logging.getLogger("rfpsurvey")
 
@@ -147,7 +145,7 @@ def plan_tile(
     center = to_center(catalog.mean_direction if center is None else center)
     plane = instrument.projection(center, position_angle)
     has_north = center.frame.name != "icrs" or u.Quantity(position_angle).value == 0
-    warn_of_north(str(catalog.meta.get("columns", "")), is_given=has_north)
+    warn_of_north(survey_of_north(str(catalog.meta.get("columns", ""))), is_given=has_north)
     plain, chosen = choose_projection(instrument, plane, conditions, projection)
     options = asked.for_instrument(instrument)
     warn_of_unused_options([asked], instrument.focal_plane, rng)
@@ -236,22 +234,12 @@ def plan_tile(
     row_of = np.full(len(instrument.focal_plane), -1)
     row_of[plan.positioner] = np.arange(len(plan.positioner))
     sky_deg = np.rad2deg([plan.lon_rad, plan.lat_rad])
-    return build_tile(
-        instrument,
-        plan.id,
-        sky_deg,
-        row_of,
-        allocation.fiber_type,
-        plan.arms,
-        plan.report,
-        summary,
-        parameters,
-        catalog.meta,
-        kind=plan.kind,
-        carried=by_positioner(catalog, plan, row_of),
-        targets=TargetsOfField(catalog, rows, slot, plan),
-        software=packages(options),
+    carried = by_positioner(catalog, plan, row_of)
+    table = TableOfTile(
+        instrument, plan.id, sky_deg, row_of, allocation.fiber_type, plan.arms, plan.report, plan.kind, carried
     )
+    targets = TargetsOfField(catalog, rows, slot, plan)
+    return build_tile(table, summary, parameters, catalog.meta, targets, packages(options))
 
 
 def _refuse_empty(builder: FieldBuilder, n: int) -> None:
@@ -295,18 +283,11 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
 
 
 def _objectives(levels: list) -> list:
-    """Return the name, value and bound of each objective.
-
-    If there are more than ``MOST_OBJECTIVES`` objectives, one item is the sum of all further classes. The number of
-    targets of any kind and the sum of the subpriorities, which include all classes, remain the last items.
-    """
+    """Return the name, value and bound of each objective; one item can be the sum of many classes."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
-    if len(rows) <= MOST_OBJECTIVES:
-        return rows
-    total = [row for row in rows[-2:] if row[0] in TOTALS]
-    n = MOST_OBJECTIVES - 1 - len(total)
-    rest = rows[n : len(rows) - len(total)]
-    return [*rows[:n], [f"{len(rest)} more classes", sum(value for _, value, _ in rest), None], *total]
+    shown, rest, totals = split_objectives(rows, MOST_OBJECTIVES)
+    more = [[f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]] if rest else []
+    return [*shown, *more, *totals]
 
 
 def _hint_of_hours(coord: SkyCoord, center: SkyCoord, radius_rad: float) -> str:

@@ -1,19 +1,21 @@
-"""Poses that a plan records: the handedness of arms with a target, and the poses of arms without a target."""
+"""The data in the table of a plan: the field, the positions of the targets, and the poses of the arms."""
 
+import warnings
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import FK5, SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._units import to_plain
-from rfpsurvey.catalog import Finder
+from rfpsurvey._units import to_center, to_direction, to_plain
+from rfpsurvey.catalog import Catalog, Finder, choose_epoch, epoch_text, read_columns, survey_of_north, to_time
 from rfpsurvey.collision import Arms
-from rfpsurvey.errors import number_of, warn
-from rfpsurvey.instrument import Instrument
-from rfpsurvey.plans import is_plan
+from rfpsurvey.errors import InputError, RfpsurveyWarning, number_of, warn, warn_no_effect
+from rfpsurvey.instrument import Instrument, choose_projection
+from rfpsurvey.observing import ObservingConditions
+from rfpsurvey.plans import format_of, is_plan
 
-GOOD = 1  # fiberStatus of PFS
 TOLERANCE_MM = 0.1
 """Largest distance between the position of a fiber and the position computed from its recorded joint angles."""
 
@@ -71,21 +73,6 @@ def sentence_of(posed: Arms, recorded: Recorded, status: np.ndarray) -> str:
     }
     parts = [f"{mask.sum()} {text}" for text, mask in counts.items() if mask.any()]
     return f"{number_of(int(idle.sum()), 'positioner')} without a target: {', '.join(parts)}" if parts else ""
-
-
-def warn_of_neglected(assigned: Table, *, sky: bool) -> None:
-    """Warn of information in the assigned rows of a plan that its score neglects.
-
-    ``sky`` is whether sky positions are scored.
-    """
-    form, names = assigned.meta.get("format"), assigned.colnames
-    if sky and form == "confsummary" and {"delta_ra", "delta_dec"} <= {*names}:
-        offsets = np.array([to_plain(assigned[name]) for name in ("delta_ra", "delta_dec")])
-        n = int((~np.isin(offsets, (0, -999)) & np.isfinite(offsets)).any(axis=0).sum())
-        if n:
-            warn(f"the offsets delta_ra and delta_dec of {number_of(n, 'target')} are neglected")
-    if form == "pfsdesign" and "fiberStatus" in names and (bad := to_plain(assigned["fiberStatus"]) != GOOD).any():
-        warn(f"{bad.sum()} fibers with a target have a fiberStatus other than {GOOD} (good), but count as assigned")
 
 
 def _angles(find, owner, has_target, n) -> np.ndarray | None:
@@ -166,3 +153,172 @@ def sky_deg_of(find: Finder) -> np.ndarray:
     if find.name_of("ra") is None or find.name_of("dec") is None:
         return np.full((2, len(find.table)), np.nan)
     return np.array([find.quantity("ra").value, find.quantity("dec").value])
+
+
+# names under which planners store the center and the orientation of a field, in columns or in the meta of a table
+FIELD = {
+    "ra": ("racen", "field_racen", "field_ra", "tile_ra", "tilera"),
+    "dec": ("deccen", "field_deccen", "field_dec", "tile_dec", "tiledec"),
+    "position angle": ("position_angle", "field_pa", "pa", "posang"),
+}
+# the names of the same values in the provenance of tiles that this package made
+OWN = {"ra": "ra_deg", "dec": "dec_deg", "position angle": "position_angle_deg"}
+
+
+def project_rows(find, instrument, fibers, columns, units, *, center, position_angle, equinox, epoch, conditions):
+    """Project the sky positions of assigned rows; the parameters are those of `score_tile`.
+
+    The returned tuple contains the positions on the focal plane and on the sky (NaN for rows without coordinates), the
+    projection, a sentence on the epoch, and the parameters to record.
+    """
+    part = find.table
+    form = format_of(part)
+    survey = survey_of_north(find.format.name) if find.format else form.NORTH_OF_DATE
+    north = center is not None or position_angle is not None or equinox is not None or "north_of" in part.meta
+    warn_of_north(survey, is_given=north)
+    recorded, model = recorded_projection(part), None
+    if conditions is None:
+        model = recorded.get("projection")
+        if recorded.get("conditions") is not None:
+            conditions = ObservingConditions.from_record(recorded["conditions"])
+    catalog, there = _catalog(part, columns, units)
+    of_catalog = form.EPOCH_OF_OBSERVATION and find.name_of("ra") == "ra"
+    if epoch is None and of_catalog and catalog.epoch is not None:
+        epoch = part.meta.get("epoch")
+    used, moved = choose_epoch(catalog, epoch, None)
+    catalog = catalog if used is None else catalog.at_epoch(used)
+    if center is None:
+        is_recorded = equinox is None and position_angle is None
+        center = north_of_date(field_center(part), recorded_equinox(part) if is_recorded else equinox)
+    center = to_center(center)
+    if position_angle is None:
+        position_angle = field_value(part, "position angle") * u.deg
+    plain, chosen = choose_projection(instrument, instrument.projection(center, position_angle), conditions, model)
+    icrs, xy, sky_deg = catalog.coord.icrs, np.full((len(part), 2), np.nan), np.full((2, len(part)), np.nan)
+    xy[there] = plain.project(catalog.arrays.vectors, fibers[there])
+    sky_deg[:, there] = icrs.ra.deg, icrs.dec.deg
+    parameters = {**where(center, position_angle), "epoch": epoch_text(catalog.epoch)}
+    if conditions is not None:
+        parameters["conditions"] = conditions.record
+    if conditions is not None or chosen["model"] != "radial":
+        parameters["projection"] = chosen["model"]
+    return xy, sky_deg, plain, moved, parameters
+
+
+def read_positions(find: Finder, xy_names: list, who: np.ndarray, n: int, given: dict) -> tuple:
+    """Return the same as `project_rows`, with the positions on the focal plane that the table contains.
+
+    ``given`` contains parameters of `project_rows`, which must be None, because they have no effect.
+    """
+    if None in xy_names:
+        raise find.missing("x and y")
+    for unused in (name for name, value in given.items() if value is not None):
+        remedy = "to use positions on the sky, give positions='sky' (or --positions sky)"
+        warn_no_effect(unused, f"because the table has positions on the focal plane; {remedy}")
+    return on_focal_plane(find, xy_names, n, who)[who], sky_deg_of(find), None, None, {}
+
+
+def _catalog(part: Table, columns: dict, units: dict | None) -> tuple[Catalog, np.ndarray]:
+    """Return the assigned rows with finite coordinates as a catalog, and the numbers of these rows."""
+    # added sky positions have no priority, which a score does not use
+    found = read_columns(part, columns, units, "icrs", {"priority": 0.0}, None, assume_units=False)
+    place = to_direction(found["coord"]).data
+    with warnings.catch_warnings():
+        warnings.filterwarnings("ignore", ".*have no finite coordinates", RfpsurveyWarning)  # `_placed` names the rows
+        catalog = Catalog(**found)
+    return catalog, np.flatnonzero(np.isfinite(place.lon.value) & np.isfinite(place.lat.value))
+
+
+def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
+    """Return a field center in the frame of an equinox; the north of this frame defines position angles.
+
+    If ``equinox`` is None, the center is returned unchanged.
+    """
+    return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox", one=True)))
+
+
+def warn_of_north(survey: str, *, is_given: bool) -> None:
+    """Warn that a survey measures position angles from the north of date, if its files do not state the north."""
+    if survey and not is_given:
+        warn(
+            "the position angle is measured from the north of ICRS, because the file does not state the north; "
+            f"{survey} uses the north of date: give equinox= (or --set equinox=J2026), or a center in FK5 of this "
+            "equinox"
+        )
+
+
+def field_center(table) -> SkyCoord:
+    """Return the field center that the columns or the meta of a table contain."""
+    return SkyCoord(field_value(table, "ra") * u.deg, field_value(table, "dec") * u.deg)
+
+
+def _degrees(value, name: str) -> np.ndarray:
+    """Return angles in degrees; numbers without a unit are in degrees."""
+    try:
+        angles = u.Quantity(to_plain(value).astype(float), getattr(value, "unit", None) or u.deg).to_value(u.deg)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} of the field must be an angle, got {value!r}: {error}") from None
+    if not np.isfinite(angles).all() or (np.abs(angles) > 90 if "dec" in name else np.abs(angles) > 360).any():
+        raise InputError(
+            f"{name} of the field must be an angle from -360 to 360 deg (declinations: from -90 to 90 deg), got {value}"
+        )
+    return angles
+
+
+def field_value(table, what: str) -> float:
+    """Return a value that describes the field, such as a position angle, from a column or the meta of a table."""
+    lower = {c.lower(): c for c in table.colnames}
+    meta = {str(k).lower(): v for k, v in table.meta.items()}
+    for name in FIELD[what]:
+        if name in lower:
+            values = np.unique(_degrees(table[lower[name]], lower[name]))
+            if len(values) > 1:
+                raise InputError(
+                    f"column {lower[name]!r} has {len(values)} values, so the table holds several fields: score one "
+                    f"field at a time, for example with --select COLUMN=VALUE"
+                )
+            return float(values[0])
+        if name in meta:
+            return float(_degrees(meta[name], name))
+    own = recorded_projection(table)
+    if OWN[what] in own:
+        return float(own[OWN[what]])
+    option = "--position-angle" if what == "position angle" else "--center"
+    raise InputError(
+        f"the {what} of the field must be given ({option}), or be in a column or meta entry "
+        f"{' or '.join(FIELD[what][:2])}"
+    )
+
+
+def recorded_projection(table) -> dict:
+    """Return the meta of a table or, for a tile of this package, its parameters.
+
+    The entries ``north_of``, ``projection`` and ``conditions`` describe how sky positions were projected.
+    """
+    provenance = table.meta.get("provenance")
+    return provenance.get("parameters", {}) if isinstance(provenance, dict) else table.meta
+
+
+def recorded_equinox(table) -> str | None:
+    """Return the equinox whose north defines the position angle in a table; None stands for the north of ICRS."""
+    north = recorded_projection(table).get("north_of", "icrs")
+    if north == "icrs":
+        return None
+    frame, _, equinox = str(north).partition(" ")
+    if frame != "fk5" or not equinox:
+        raise InputError(
+            f"the position angle in the table must be measured from the north of icrs or fk5, got {north}; give center "
+            "(in the frame whose north you use) and position_angle"
+        )
+    return equinox
+
+
+def where(center: SkyCoord, position_angle: u.Quantity) -> dict:
+    """Return the center and the orientation of a field in the form in which the provenance stores them."""
+    icrs = center.icrs
+    return {
+        "ra_deg": float(icrs.ra.deg),
+        "dec_deg": float(icrs.dec.deg),
+        "position_angle_deg": float(u.Quantity(position_angle).to_value(u.deg)),
+        "north_of": center.frame.name + (f" J{center.equinox.jyear:.3f}" if center.frame.name == "fk5" else ""),
+    }

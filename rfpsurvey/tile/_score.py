@@ -16,15 +16,14 @@ from rfpsurvey.collision import place_arms
 from rfpsurvey.constraints import Constraint
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, listed, warn
 from rfpsurvey.focal_plane import FocalPlane, accepted_types
-from rfpsurvey.instrument import Instrument, as_instrument
+from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey.observing import ObservingConditions, check_conditions
 from rfpsurvey.pipeline import find_all_collisions
-from rfpsurvey.plans import is_plan, plan_roles
-from rfpsurvey.tile._build import build_tile
+from rfpsurvey.plans import format_of, is_plan, plan_roles
 from rfpsurvey.tile._constraints import find_constraints
-from rfpsurvey.tile._positions import project_rows, read_positions
-from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, sentence_of
-from rfpsurvey.tile._table import status_of
+from rfpsurvey.tile._facts import build_tile
+from rfpsurvey.tile._recorded import find_recorded, on_focal_plane, project_rows, read_positions, sentence_of
+from rfpsurvey.tile._table import TableOfTile, status_of
 from rfpsurvey.tile._tile import Tile
 
 MOST_OUT_OF_REACH = 0.2
@@ -34,7 +33,7 @@ MOST_OUT_OF_REACH = 0.2
 @check_keywords
 def score_tile(
     table: Table | Tile,
-    instrument: Instrument | str,
+    instrument: Instrument | str | None = None,
     *,
     center: SkyCoord | str | None = None,
     position_angle: u.Quantity | None = None,
@@ -61,8 +60,9 @@ def score_tile(
         (``positioner``, ``hole_id``, ``robot_id``, ...), and the position of its target on the focal plane (``x`` and
         ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a positioner, and rows with 0 in the column
         ``assigned``, are ignored. The column names of plans that `~rfpsurvey.plans.read_plan` returned are recognized.
-    instrument : Instrument or str
-        Instrument, name of a preset, or path of a TOML file.
+    instrument : Instrument or str, optional
+        Instrument, name of a preset, or path of a TOML file. By default, the preset with which a `Tile` was made; an
+        instrument that was changed, or is not a preset, must be given.
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`; by default it is read from the columns or meta entries ``racen`` and
         ``deccen`` of the table.
@@ -106,14 +106,15 @@ def score_tile(
         target in a recorded pose) and ``poses_without_target`` (a sentence on recorded and assumed poses). If there are
         ``constraints``, it also contains ``n_constraints`` and ``n_unmet`` (the numbers of constraints that were
         checked, and that are not met), ``requirements`` (for the text of each requirement, a list with the number of
-        targets that have a fiber, in the tile or in each spectrograph), ``unmet`` (sentences on the constraints that
-        are not met) and ``rules`` (the verdict on each constraint, see `Tile.rules`).
+        targets that have a fiber, in the tile or in each spectrograph), ``n_also_science`` (number of science targets
+        that also meet requirements on standard stars or sky positions, if there are any), ``unmet`` (sentences on the
+        constraints that are not met) and ``rules`` (the verdict on each constraint, see `Tile.rules`).
 
     Raises
     ------
     InputError
-        If a positioner is unknown or occurs twice, if the field center is missing, or if positions are missing and
-        ``missing`` is ``"refuse"``.
+        If a positioner is unknown or occurs twice, if the instrument or the field center is missing, or if positions
+        are missing and ``missing`` is ``"refuse"``.
 
     Examples
     --------
@@ -129,7 +130,7 @@ def score_tile(
     start = perf_counter()
     check_conditions(conditions, optional=True)
     check_choice(missing, ("refuse", "skip"), "treatment of rows without a position")
-    instrument = as_instrument(instrument)
+    instrument = _preset_of(table) if instrument is None else as_instrument(instrument)
     knows_field = isinstance(table, Tile)
     table, is_plain = as_table(table.table if knows_field else table, index_as_id=False)
     parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
@@ -157,18 +158,11 @@ def score_tile(
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
     fibers, others = _fibers(find, plane, who), _without(find, name)
     ids = np.arange(len(part)) if (ids := others.labels("id")) is None else ids
-    parameters = {
-        "allocator": "scored",
-        "positions": positions,
-        "parked_obstacles": parked_obstacles,
-    }
-    given = {
-        "center": center,
-        "position_angle": position_angle,
-        "equinox": equinox,
-        "epoch": epoch,
-        "conditions": conditions,
-    }
+    parameters = {"allocator": "scored", "positions": positions, "parked_obstacles": parked_obstacles}
+    given = {"center": center, "position_angle": position_angle, "equinox": equinox, "epoch": epoch}
+    given |= {"conditions": conditions}
+    for text in format_of(part).neglected(part, positions == "sky"):
+        warn(text)
     if positions == "sky":
         xy, sky_deg, plain, moved, more = project_rows(find, instrument, fibers, columns, units, **given)
     else:
@@ -229,7 +223,22 @@ def score_tile(
     meta = {k: v for k, v in table.meta.items() if isinstance(v, str | int | float | bool)}
     used = ("ra", "dec", "pmra", "pmdec", "epoch") if positions == "sky" else ("x", "y")
     meta["columns"] = f"positioner: {name}, {others.statement(('id', 'fiber_type', *used))}"
-    return build_tile(instrument, ids, sky_deg, target_of, types, posed, report, summary, parameters, meta)
+    tile = TableOfTile(instrument, ids, sky_deg, target_of, types, posed, report)
+    return build_tile(tile, summary, parameters, meta)
+
+
+def _preset_of(tile: object) -> Instrument:
+    """Return the preset with which a tile was made; raise an error for other instruments, and for tables."""
+    if not isinstance(tile, Tile):
+        raise InputError("instrument must be given, because a table does not contain its instrument, got none")
+    name = tile.instrument
+    preset = as_instrument(name) if name in available_instruments() else None
+    if preset is None or preset.provenance["digest"] != tile.provenance["instrument"].get("digest"):
+        raise InputError(
+            "instrument must be given, because the tile was not made with an unchanged preset, but with the "
+            f"instrument {name!r}, got none"
+        )
+    return preset
 
 
 def _fibers(find: Finder, plane: FocalPlane, who: np.ndarray) -> np.ndarray:

@@ -11,27 +11,19 @@ from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._descriptions import COPIED, OUTCOMES_COLUMNS, TILE_COLUMNS, describe
 from rfpsurvey._display import plot, show, to_html
 from rfpsurvey.catalog import to_time
 from rfpsurvey.constraints import verdict_table
 from rfpsurvey.errors import InputError, InputTypeError
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.plans import write_plan
-from rfpsurvey.tile._columns import KEPT_COLUMN, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, id_column, without_masks
-from rfpsurvey.tile._model import collision_shape
-from rfpsurvey.tile._table import TableOfTile
-from rfpsurvey.tile._targets import TargetsOfField, completeness_table
+from rfpsurvey.tile._table import TableOfTile, TargetsOfField, completeness_table, id_column, without_masks
 
-MUST_HAVE = (
-    "summary.n_positioners",
-    "summary.n_assigned",
-    "summary.n_colliding",
-    "summary.collision_rate",
-    "summary.seconds",
-    "provenance.instrument.name",
-    "provenance.parameters.allocator",
-    "provenance.catalog",
-)
+SUMMARY = ("n_positioners", "n_assigned", "n_colliding", "collision_rate", "seconds")
+MUST_HAVE = [f"summary.{name}" for name in SUMMARY]
+MUST_HAVE += [f"provenance.{name}" for name in ("instrument.name", "parameters.allocator", "catalog")]
+"""Entries of the ``meta`` of the table of each tile."""
 
 
 class Tile:
@@ -101,11 +93,6 @@ class Tile:
         return self._made_from
 
     @property
-    def _positioner_ids(self) -> np.ndarray:
-        is_made = not isinstance(self._made_from, TableOfTile)
-        return np.asarray(self.table["id"]) if is_made else self._made_from.instrument.focal_plane.id
-
-    @property
     def field_targets(self) -> QTable | TargetsOfField | None:
         """All targets of the field; see `outcomes`."""
         return self._field_targets
@@ -172,7 +159,7 @@ class Tile:
         further columns of the catalog, if the catalog has them.
         """
         made = self.field_targets
-        return made.table(self._positioner_ids) if hasattr(made, "table") else made
+        return made.table() if hasattr(made, "table") else made
 
     @property
     def targets(self) -> QTable | None:
@@ -192,7 +179,7 @@ class Tile:
 
     @cached_property
     def _idle(self) -> tuple[QTable, QTable] | None:
-        return self.field_targets.idle(self._positioner_ids) if hasattr(self.field_targets, "idle") else None
+        return self.field_targets.idle() if hasattr(self.field_targets, "idle") else None
 
     @property
     def idle(self) -> QTable | None:
@@ -241,14 +228,14 @@ class Tile:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
             table["target_id"] = id_column(table["target_id"], has_target)
-            tile = cls(describe(without_masks(table), TILE_COLUMNS, KEPT_COLUMN))
+            tile = cls(describe(without_masks(table), TILE_COLUMNS, COPIED))
         except KeyError as error:
             raise InputError(f"{path} does not hold a tile: the column {error.args[0]} is missing") from None
         except InputError as error:
             raise InputError(f"{path} does not hold a tile: {error}") from None
-        if not tile.provenance.get("outcomes") or _io.suffix_of(_io.to_path(path)) != ".fits":
+        if not tile.provenance.get("outcomes") or not _io.is_fits(_io.to_path(path)):
             return tile
-        return cls(tile.table, describe(without_masks(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, KEPT_COLUMN))
+        return cls(tile.table, describe(without_masks(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, COPIED))
 
     def write(
         self,
@@ -378,6 +365,11 @@ class Tile:
         """Return as text the number of positioners for each kind of target, unless all targets are science targets."""
         counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
         return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
+
+
+def collision_shape(summary: dict) -> str:
+    """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
+    return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""
 
 
 def _same_table(a, b) -> bool:

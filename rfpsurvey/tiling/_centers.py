@@ -8,7 +8,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._units import ByValue, to_direction, to_lonlat, to_scalar, to_unit, to_vectors
+from rfpsurvey._units import ByValue, from_lonlat, to_direction, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import is_table
 from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, refusal, short
 from rfpsurvey.tiling._tiling import Tiling, as_tiling, place_of
@@ -128,7 +128,7 @@ class Declinations:
         if not out.any():
             return vectors
         lat = np.clip(lat, self.low, self.high)
-        inside = np.stack([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)], axis=-1)
+        inside = from_lonlat(lon, lat)
         return np.where(out[..., None], inside, vectors)
 
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 import warnings
 from dataclasses import replace
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
@@ -13,7 +14,6 @@ from astropy.time import Time
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog import to_moment
 from rfpsurvey.errors import InputError
-from rfpsurvey.instrument import Instrument
 from rfpsurvey.observing import ObservingConditions, as_hour_angle
 from rfpsurvey.pipeline import field_radius_rad
 
@@ -59,23 +59,6 @@ def places_of_tiles(tiling: "Tiling") -> np.ndarray:
     return np.column_stack([tiling.table[name].to_value(u.deg).astype(float) for name in names])
 
 
-def largest_field_rad(tiling: "Tiling", conditions: list[ObservingConditions] | None, instrument: Instrument) -> float:
-    """Return the radius of the largest field of the tiles in radians.
-
-    Refraction enlarges the field with the lowest altitude the most.
-    """
-    if conditions is None:
-        return field_radius_rad(instrument)
-    fields = []
-    for name, place, one in zip(tiling.table["tile"], np.deg2rad(places_of_tiles(tiling)), conditions, strict=True):
-        try:
-            fields.append(instrument.field_projection(*place, one))
-        except InputError as error:
-            raise InputError(f"tile {name}: {error}") from None
-    lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
-    return field_radius_rad(instrument, lowest) * MARGIN
-
-
 def times_of_tiles(tiling: "Tiling") -> Time | None:
     """Return the time of each tile; None if the tiling has no conditions, or conditions with hour angles."""
     common = tiling.conditions
@@ -87,9 +70,46 @@ def times_of_tiles(tiling: "Tiling") -> Time | None:
     return common.time + np.zeros(len(tiling)) * u.s
 
 
-def years_of_tiles(tiling: "Tiling", reference: Time | None) -> np.ndarray | None:
-    """Return the time of each tile since a reference epoch, in years; None if there is no reference epoch."""
-    return None if reference is None else (times_of_tiles(tiling).tdb - reference.tdb).to_value(u.yr)
+class FieldsOfTiles:
+    """The fields of all tiles of a plan.
+
+    Subclasses have the attributes ``tiling``, ``instrument``, ``source`` (the targets) and ``reference`` (the epoch of
+    the positions of the targets; None if the targets are not moved to the times of the tiles).
+    """
+
+    @cached_property
+    def conditions(self) -> list[ObservingConditions] | None:
+        """Observing conditions of each tile; None if refraction is neglected."""
+        return conditions_of_tiles(self.tiling)
+
+    @cached_property
+    def places(self) -> np.ndarray:
+        """Right ascension, declination and position angle of each tile in degrees, shape (n, 3)."""
+        return places_of_tiles(self.tiling)
+
+    @cached_property
+    def radius_rad(self) -> float:
+        """Radius of the largest field in radians; refraction enlarges the field with the lowest altitude the most."""
+        if self.conditions is None:
+            return field_radius_rad(self.instrument)
+        fields = []
+        for name, place, one in zip(self.tiling.table["tile"], np.deg2rad(self.places), self.conditions, strict=True):
+            try:
+                fields.append(self.instrument.field_projection(*place, one))
+            except InputError as error:
+                raise InputError(f"tile {name}: {error}") from None
+        lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
+        return field_radius_rad(self.instrument, lowest) * MARGIN
+
+    @cached_property
+    def years(self) -> np.ndarray | None:
+        """Time of each tile since the reference epoch, in years; None if the targets are not moved to these times."""
+        return None if self.reference is None else (times_of_tiles(self.tiling).tdb - self.reference.tdb).to_value(u.yr)
+
+    @cached_property
+    def margin_rad(self) -> float:
+        """Upper limit of the angle (radians) by which any target moves between the reference epoch and a tile."""
+        return 0.0 if self.years is None else float(np.abs(self.years).max()) * self.source.fastest_rad
 
 
 def _read_times(tiling: "Tiling") -> Time:

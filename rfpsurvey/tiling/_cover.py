@@ -15,8 +15,7 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.pipeline import field_radius_rad, project_field
 from rfpsurvey.region import Region, circle_around, distance_to, is_inside
 from rfpsurvey.tiling._centers import Centers, Declinations
-from rfpsurvey.tiling._problem import TilingProblem, TilingState
-from rfpsurvey.tiling._visit import visit_all
+from rfpsurvey.tiling._problem import TilingProblem, TilingState, visit_all
 
 # Spacing of the samples of a region as a fraction of the radius of a tile, and the largest number of samples.
 FINE = 1 / 40

@@ -150,19 +150,50 @@ def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return np.array([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0])
 
 
-def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
-    """Shift a center by decreasing steps as long as the number of remaining visits inside the tile increases."""
-    index, radius, weight = state.problem.index, state.problem.radius, state.weight
-    step, best = 0.5 * GRID * radius, index.sum_near(center[None], radius, weight)[0]
-    while step > 5 * STILL * radius:
-        around = state.problem.where.limits.move_inside(ring(center, step))
-        total = index.sum_near(around, radius, weight)
-        k = int(np.argmax(total))
-        if total[k] > best:
-            center, best = around[k], total[k]
+def climb(
+    center: np.ndarray, value: Callable, step: float, last: float, *, move: Callable | None = None, gain: float = 0.0
+) -> np.ndarray:
+    """Shift a center by decreasing steps (radians) as long as its value increases, and return the center.
+
+    Parameters
+    ----------
+    center : ndarray, shape (3,)
+        Center from which the search starts.
+    value : callable
+        Function that returns the values of centers.
+    step, last : float
+        Length of the first step, and of the step after which the search ends.
+    move : callable, optional
+        Function that moves centers to allowed centers.
+    gain : float, optional
+        Smallest increase of the value.
+
+    Returns
+    -------
+    ndarray, shape (3,)
+        The center.
+    """
+    best = value(center[None])[0]
+    while step > last:
+        around = ring(center, step)
+        around = around if move is None else move(around)
+        values = value(around)
+        k = int(np.argmax(values))
+        if values[k] > best + gain:
+            center, best = around[k], values[k]
         else:
             step /= 2
     return center / np.linalg.norm(center)
+
+
+def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
+    """Shift a center as long as the number of remaining visits inside the tile increases."""
+    index, radius, weight = state.problem.index, state.problem.radius, state.weight
+
+    def visits(places):
+        return index.sum_near(places, radius, weight)
+
+    return climb(center, visits, 0.5 * GRID * radius, 5 * STILL * radius, move=state.problem.where.limits.move_inside)
 
 
 def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:

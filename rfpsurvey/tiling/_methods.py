@@ -8,8 +8,7 @@ from rfpsurvey.tiling._cover import cover_targets
 from rfpsurvey.tiling._covering import hexagonal, spiral
 from rfpsurvey.tiling._greedy import density_gradient, max_density, mean_shift
 from rfpsurvey.tiling._network import network_flow
-from rfpsurvey.tiling._problem import TilingProblem, TilingState
-from rfpsurvey.tiling._visit import visit_given
+from rfpsurvey.tiling._problem import TilingProblem, TilingState, visit_given
 
 
 @dataclass(frozen=True)

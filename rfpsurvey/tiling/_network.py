@@ -10,9 +10,8 @@ import numpy as np
 from rfpsurvey import _healpix
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling._covering import lattice
-from rfpsurvey.tiling._greedy import ring
-from rfpsurvey.tiling._problem import TilingProblem, TilingState
-from rfpsurvey.tiling._visit import visit_all
+from rfpsurvey.tiling._greedy import climb
+from rfpsurvey.tiling._problem import TilingProblem, TilingState, visit_all
 
 # Lengths as fractions of the radius of a tile. The flow can assign targets outside a tile to this tile, up to the
 # distance OUTSIDE from its edge. CELL is the size of the cells.
@@ -201,20 +200,11 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
 def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:
     """Return the center that minimizes the cost of the assigned cells, found by steps of decreasing length."""
 
-    def price(places):
+    def value(places):
         chord = np.linalg.norm(vectors[None] - places[:, None], axis=2)
-        return _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), radius) @ amount
+        return -(_cost(2 * np.arcsin(np.minimum(chord / 2, 1)), radius) @ amount)
 
-    best, step = price(center[None])[0], 0.1 * radius
-    while step > 0.01 * radius:
-        around = ring(center, step)
-        prices = price(around)
-        k = int(np.argmin(prices))
-        if prices[k] < best - 1e-9:
-            center, best = around[k], prices[k]
-        else:
-            step /= 2
-    return center / np.linalg.norm(center)
+    return climb(center, value, 0.1 * radius, 0.01 * radius, gain=1e-9)
 
 
 def _allowed(problem: TilingProblem, centers: np.ndarray) -> np.ndarray:

@@ -29,12 +29,11 @@ from rfpsurvey.errors import (
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
-from rfpsurvey.tiling._account import account_of, warn_of_rest
 from rfpsurvey.tiling._centers import Centers, Declinations, given_tiles
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
-from rfpsurvey.tiling._problem import TilingProblem
+from rfpsurvey.tiling._problem import TilingProblem, account_of, warn_of_rest
 from rfpsurvey.tiling._serve import Fibers, FocalPlaneFibers, FreeFibers, neighbors_within
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
@@ -206,7 +205,7 @@ def place_tiles(
     if by_positioners:
         tiles = given_tiles(where) if chosen.needs_tiles else where.angle_deg
         serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
-        reach = serve.radius + serve.margin
+        reach = serve.radius_rad + serve.margin_rad
     else:
         serve, reach = FreeFibers(number, priority, neighbors), radius_rad
         if is_seed_given(rng):

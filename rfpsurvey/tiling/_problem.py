@@ -1,12 +1,17 @@
-"""The problem of placing tiles, and the state of the tiles placed so far."""
+"""The problem of placing tiles, the state of the tiles placed so far, and the order in which tiles are observed.
 
+This module also makes the summary of a tiling, and issues warnings about goals that the tiling does not reach.
+"""
+
+import heapq
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling._centers import Centers
+from rfpsurvey.errors import warn
+from rfpsurvey.tiling._centers import Centers, Declinations
 from rfpsurvey.tiling._tiling import place_of, to_ra_dec
 
 ROW = np.dtype(
@@ -157,3 +162,88 @@ class TilingState:
         near = near[reach <= 0.1 * problem.radius]
         self.hopeless[near] = True
         return near
+
+
+def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
+    """Observe the tiles of one pass until no more tiles are needed; return the number of placed tiles.
+
+    By default, a tile is omitted if none of its targets still requires a visit. If ``every`` is true, a tile is omitted
+    only if no visits to its targets were requested. The tile with the most targets that still require a visit is
+    observed next. Because this number can only decrease, these targets are counted again only for the tile with the
+    largest earlier count. If this count has not changed, no other tile has more of these targets.
+    """
+    index, radius = state.problem.index, state.problem.radius
+    state.chances = np.zeros(len(index))
+    for center in centers:
+        state.chances[index.near(center, radius)] += 1
+    counts = index.sum_near(centers, radius, (state.left > 0).astype(np.float64))
+    wanted = index.sum_near(centers, radius, (state.problem.wanted > 0).astype(np.float64))
+    use = wanted if every else counts
+    heap = [(-count, k) for k, count in enumerate(counts.tolist()) if use[k] > 0]
+    heapq.heapify(heap)
+    before = len(state.rows)
+    while heap and (every or not state.done):
+        old, k = heapq.heappop(heap)
+        count = len(index.near(centers[k], radius, state.left))
+        if count < -old and (count > 0 or every):
+            heapq.heappush(heap, (-count, k))
+            continue
+        state.chances[index.near(centers[k], radius)] -= 1
+        if count or every:
+            state.observe(centers[k], number, every=every)
+    state.chances = None
+    return len(state.rows) - before
+
+
+def visit_given(problem: TilingProblem) -> TilingState:
+    """Observe the tiles in ``centers`` in their order until the goal is reached; without a goal, observe all tiles."""
+    state = TilingState(problem)
+    for center, number in zip(problem.where.tiling.vectors, problem.where.tiling.table["pass"].tolist(), strict=True):
+        if state.done and not problem.open_ended:
+            break
+        state.observe(center, number, every=True)
+    return state
+
+
+def warn_of_rest(state: TilingState, n_away: int, limits: Declinations) -> None:
+    """Issue a warning for goals that are not reached, and for targets that no tile reaches."""
+    problem, n = state.problem, len(state.rows)
+    sentences = []
+    goal = problem.completeness
+    if goal is not None and state.completeness < goal - 1e-12:
+        limit = "" if problem.n_tiles is None or n < problem.n_tiles else f"; n_tiles={n} allows no more tiles"
+        sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
+    if n_away:
+        sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
+    if not n:
+        sentences.append("no tile observes any target")
+    for sentence in sentences:
+        warn(sentence)
+
+
+def account_of(state: TilingState, neighbors, n_away: int) -> dict:
+    """Return the summary of a tiling; ``n_away`` targets cannot be reached within the declination limits."""
+    problem = state.problem
+    wanted, made = problem.wanted, problem.wanted - state.left
+    n = len(state.rows)
+    depth = SkyIndex(state.table["center"]).sum_near(problem.index.vectors[wanted > 0], problem.radius, np.ones(n))
+    account = {
+        "n_targets": int(np.count_nonzero(wanted)) + n_away,
+        **({} if problem.where.limits.anywhere else {"n_beyond_declination": n_away}),
+        "n_on_tiles": int(np.count_nonzero(depth)),
+        "n_requested": int(wanted.sum()) + problem.n_beyond,
+        "n_observed": int(made.sum()),
+        "completeness": float(state.completeness),
+        "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
+    }
+    if neighbors is not None:
+        some = np.flatnonzero(wanted > 0)
+        indptr, other = neighbors
+        # only neighbors with requested visits can be too close
+        near = (
+            np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
+        )
+        alone = some[~near[some]]
+        account["n_isolated"] = len(alone)
+        account["completeness_isolated"] = float(made[alone].sum() / max(wanted[alone].sum(), 1))
+    return account

@@ -7,17 +7,17 @@ import numpy as np
 from astropy.time import Time
 
 from rfpsurvey._roles import has_role
-from rfpsurvey._units import to_scalar
-from rfpsurvey.errors import check_keywords, check_switch, check_whole
+from rfpsurvey._settings import Settings, option
+from rfpsurvey.errors import check_keywords
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.pipeline import FieldBuilder, field_radius_rad, plan_field
-from rfpsurvey.tiling._conditions import conditions_of_tiles, largest_field_rad, places_of_tiles, years_of_tiles
+from rfpsurvey.pipeline import FieldBuilder, plan_field
+from rfpsurvey.tiling._conditions import FieldsOfTiles
 from rfpsurvey.tiling._tiling import Tiling, to_ra_dec
 
 
 @check_keywords
-@dataclass(frozen=True)
-class Fibers:
+@dataclass(frozen=True, eq=False, repr=False)
+class Fibers(Settings):
     """The largest number of targets that a tile observes, their minimum separation, and the effect of collisions.
 
     Parameters
@@ -45,16 +45,9 @@ class Fibers:
     640
     """
 
-    number: int | None = None
-    min_separation: u.Quantity | None = None
-    lost_in_collision: bool = True
-
-    def __post_init__(self):
-        check_switch(self.lost_in_collision, "lost_in_collision")
-        if self.number is not None:
-            check_whole(self.number, "fibers")
-        if self.min_separation is not None:
-            to_scalar(self.min_separation, u.rad, "min_separation", low=0, high=np.pi)
+    number: int | None = option(None, low=1, what="fibers")
+    min_separation: u.Quantity[u.rad] | None = option(None, above=0, below=np.pi)
+    lost_in_collision: bool = option(True)
 
     @property
     def ideal(self) -> bool:
@@ -122,7 +115,7 @@ class FreeFibers:
         return degree
 
 
-class FocalPlaneFibers:
+class FocalPlaneFibers(FieldsOfTiles):
     """The positioners of an instrument with an allocator; tiles are planned as in a survey.
 
     Parameters
@@ -151,14 +144,9 @@ class FocalPlaneFibers:
         reference: Time | None = None,
     ):
         self.instrument, self.builder, self.fibers = instrument, builder, fibers
-        self.tiles, self.seed, self.years, self.margin = tiles, seed, None, 0.0
-        if isinstance(tiles, Tiling):
-            self.places, self.conditions = places_of_tiles(tiles), conditions_of_tiles(tiles)
-            self.radius = largest_field_rad(tiles, self.conditions, instrument)
-            self.years = years_of_tiles(tiles, reference)
-            self.margin = 0.0 if self.years is None else float(np.abs(self.years).max()) * builder.source.fastest_rad
-        else:
-            self.places, self.conditions, self.radius = None, None, field_radius_rad(instrument)
+        self.tiling, self.seed, self.reference, self.source = tiles, seed, reference, builder.source
+        if not isinstance(tiles, Tiling):
+            self.places, self.conditions, self.reference = None, None, None
         lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
         self.means = f"the allocator {builder.options.name} plans each tile; a target whose arm collides {lost}"
 
@@ -168,7 +156,7 @@ class FocalPlaneFibers:
         plane, builder = self._projection(center, number), self.builder
         years = 0.0 if self.years is None else float(self.years[number])
         left = state.left if builder.reusable is None else np.where(builder.reusable, 1.0, state.left)
-        slot, _, targets = builder.field(center, self.radius, left, years=years, margin_rad=self.margin)
+        slot, _, targets = builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
         plan = plan_field(self.instrument, plane, targets, builder.options, rng, builder.blank)
         counts = (plan.target >= 0) & has_role(plan.kind, "science")
@@ -187,7 +175,7 @@ class FocalPlaneFibers:
         """Return the projection of the sky onto the focal plane for the tile with the given number."""
         if self.places is None:
             (ra,), (dec,) = to_ra_dec(center[None])
-            return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiles]))
+            return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiling]))
         conditions = None if self.conditions is None else self.conditions[number]
         return self.instrument.field_projection(*np.deg2rad(self.places[number]), conditions)
 

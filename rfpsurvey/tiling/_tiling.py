@@ -11,6 +11,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey import _healpix, _io
 from rfpsurvey._display import to_html
+from rfpsurvey._readers import lacks_units
 from rfpsurvey._units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey.catalog import SkyIndex, as_table, is_table, select_rows
 from rfpsurvey.errors import InputError, InputTypeError, number_of
@@ -191,15 +192,12 @@ class Tiling:
         table, selected = select_rows(table, select)
         names = find_names(table, columns)
         table, said = without_others(table)
-        meta = {name: value for name, value in table.meta.items() if name not in ("omitted", "selected")} | {
-            "columns": names
-        }
+        meta = {name: value for name, value in table.meta.items() if name not in ("omitted", "selected")}
+        meta |= {"columns": names}
         meta |= {"omitted": said} if said else {}
         meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
-        n, found = (
-            len(table),
-            read_angles(table, names, units, silent=assume_units or is_plain or bool(said) or is_of_pfs(table)),
-        )
+        silent = assume_units or is_plain or bool(said) or is_of_pfs(table)
+        n, found = len(table), read_angles(table, names, units, silent=silent)
         result = QTable(
             {
                 "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
@@ -253,9 +251,7 @@ class Tiling:
         table = _io.read_table(path, hdu, "; to read another table, give hdu= or --set tiles.hdu=NAME")
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
-            return cls._from_table(
-                table, columns, units, select, assume_units=_io.suffix_of(path) in (".csv", ".tsv", ".parquet")
-            )
+            return cls._from_table(table, columns, units, select, assume_units=lacks_units(path))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
 

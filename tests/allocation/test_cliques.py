@@ -9,7 +9,7 @@ import pytest
 import rfpsurvey as rs
 from brute import best_plan, bodies_of, conflicts_of, options_of
 from rfpsurvey._kernels.conflicts import Options
-from rfpsurvey.allocation import _cliques
+from rfpsurvey.allocation import _candidates
 
 MM = u.mm
 
@@ -29,7 +29,7 @@ def random_options(rng):
 
 @pytest.mark.parametrize("room", [1, 200_000])
 def test_cliques_are_maximal_and_contain_every_conflict(monkeypatch, room):
-    monkeypatch.setattr(_cliques, "N_MEMBERS", room)  # with little room, cliques are made in several steps
+    monkeypatch.setattr(_candidates, "N_MEMBERS", room)  # with little room, cliques are made in several steps
     n_large = 0
     for seed in range(200):
         options, rows, edges = random_options(np.random.default_rng(seed))
@@ -38,7 +38,7 @@ def test_cliques_are_maximal_and_contain_every_conflict(monkeypatch, room):
         inside = np.isin(np.arange(n), rows)
         conflict[tuple(edges)] = conflict[tuple(edges[::-1])] = True
         excludes = (conflict | (own[:, None] == own)) & inside & inside[:, None] & ~np.eye(n, dtype=bool)
-        indptr, column = _cliques.cover(options, rows, edges)
+        indptr, column = _candidates.cover(options, rows, edges)
         covered = np.zeros((n, n), dtype=bool)
         for clique in np.split(column, indptr[1:-1]):
             assert (np.diff(clique) > 0).all()

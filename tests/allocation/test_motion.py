@@ -126,7 +126,7 @@ def idle_directions(plane, points, law):
     found = []
 
     def assign_nothing(problem):
-        moves = problem.motion.moves(problem, *np.full((2, len(plane)), -1), np.ones(len(plane)), np.arange(len(plane)))
+        moves = problem.motion.moves(*np.full((2, len(plane)), -1), np.ones(len(plane)), np.arange(len(plane)))
         center = plane.xy.to_value(MM)
         found.append(np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0]))
         return np.full(len(plane), -1)

@@ -6,7 +6,8 @@ import pytest
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS, sentences
+from rfpsurvey.allocation import METHODS
+from rfpsurvey.constraints import sentences
 from scenes import two_fibers
 
 MM = u.mm

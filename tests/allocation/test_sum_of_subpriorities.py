@@ -10,7 +10,7 @@ import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
 from rfpsurvey.allocation._lexicographic import _Pursuit
-from rfpsurvey.report import tile_objectives
+from rfpsurvey.tile import tile_objectives
 from rule_scenes import CENTER, Scene
 from scenes import random_scene
 

@@ -110,15 +110,12 @@ def in_batch(targets, tiling, options, folder):
     """Compute selection probabilities; return the result, the time and the times of the stages."""
     clock = Clock()
     clock.wrap(_work, "reach_of", "projection and reach (workers)")
-    for name in list(_work.RULES):
-        rule = _work.RULES[name]
-        _work.RULES[name] = _timed(clock, rule, "rule (workers)")
+    clock.wrap(_work, "choose_pairs", "rule (workers)")
     clock.wrap(_work.Poses, "__init__", "poses (workers)")
     clock.wrap(_work.Poses, "find_lost", "collisions (workers)")
     clock.wrap(_select, "prepare_request", "index of the targets (main thread)")
     clock.wrap(Request, "identity", "digest of the catalog (main thread)")
     clock.wrap(Request, "job", "fields (main thread)")
-    clock.wrap(State, "take", "state (main thread)")
     clock.wrap(State, "enter", "state (main thread)")
     clock.wrap(_folder.SelectionFolder, "save", "checkpoints (main thread)")
     clock.wrap(_run, "count_tiles", "all of the count of tiles in reach")
@@ -136,16 +133,6 @@ def in_batch(targets, tiling, options, folder):
             progress=options.progress,
         )
     return found, perf_counter() - begin, dict(clock.seconds)
-
-
-def _timed(clock, function, stage):
-    class Place:
-        pass
-
-    place = Place()
-    place.function = function
-    clock.wrap(place, "function", stage)
-    return place.function
 
 
 def alone(targets, tiling, options, seed):

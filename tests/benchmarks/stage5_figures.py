@@ -140,7 +140,7 @@ def arms(_options):
         instrument = design(positioner=robot)
         for per in (1, 4):
             sky = sky_for(rs.Instrument.preset("must"), per)
-            found = {name: count(instrument, sky, name) for name in ("nearest", "optimal")}
+            found = {name: count(instrument, sky, name) for name in ("optimal", "nearest")}
             print(f"arms of {length} mm, {per} targets per positioner: {found}", flush=True)
 
 

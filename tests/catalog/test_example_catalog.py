@@ -10,7 +10,7 @@ import setuptools
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import _example_files
-from rfpsurvey.catalog._packed import unpack
+from rfpsurvey.catalog._example_files import unpack
 
 ROOT = Path(__file__).parents[2]
 

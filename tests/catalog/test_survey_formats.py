@@ -223,6 +223,25 @@ def test_small_priorities_of_sdssv_are_more_important(identifier, fiber_type, se
     assert catalog.fiber_type.tolist() == ["BOSS", "BOSS"]
 
 
+def manual_list():
+    """Return a list of candidates of SDSS-V with the columns of the lists that are submitted, without catalogid."""
+    table = sdssv(cartonname=["a", "a"], program=["b", "b"], category=["science"] * 2, inertial=[True, True])
+    table.rename_columns(["catalogid", "fiberType"], ["Gaia_DR3_Source_ID", "instrument"])
+    return table
+
+
+def test_candidates_of_sdssv_without_catalogid_are_recognized_by_several_columns():
+    """Their priorities were read with large values first."""
+    catalog = rs.Catalog.from_table(manual_list())
+    assert catalog.priority.tolist() == [-1000, -2000]
+    assert catalog.fiber_type.tolist() == ["BOSS", "BOSS"]
+    assert rs.Catalog.from_table(catalog.to_table()).priority.tolist() == [-1000, -2000]
+    for missing in (["instrument"], ["program", "inertial"], ["cadence", "category", "cartonname"]):
+        table = manual_list()
+        table.remove_columns(missing)
+        assert rs.Catalog.from_table(table).priority.tolist() == [1000, 2000]
+
+
 @pytest.mark.parametrize("missing", ["catalogid", "fiberType", "cadence"])
 def test_large_priorities_of_other_tables_are_more_important(missing):
     table = sdssv()

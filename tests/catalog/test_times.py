@@ -88,7 +88,7 @@ FILES = [
     ("site = 'xinglong'\ntime = 2026.5", f": time {FORM}; the Julian year 2026.5 is 2026-07-02T14:58 in this form"),
     ("site = 'xinglong'\ntime = 'soon'", f": time {FORM}, got 'soon'"),
     ("site = 'xinglong'\ntime = 06:30:00", f": time {FORM}, got datetime.time(6, 30)"),
-    ("site = 'xinglong'\nhour_angle = 3", ": hour_angle must have a unit convertible to deg, got <Quantity 3.>"),
+    ("site = 'xinglong'\nhour_angle = 3", ": hour_angle must have a unit convertible to hourangle, got <Quantity 3.>"),
     (
         "site = 'xinglong'\nhour_angle = '0 deg'\npressure = 'high'",
         ": pressure must be text such as '720 hPa', got 'hi",

@@ -11,7 +11,8 @@ from astropy.table import QTable, Table
 import rfpsurvey as rs
 from refusals import sentence
 from rfpsurvey._cli import _app
-from rfpsurvey._cli._main import COMMANDS
+from rfpsurvey._cli._main import COMMANDS, commands
+from rfpsurvey._cli._plan_file import add_text
 
 
 @pytest.mark.few(1)
@@ -400,11 +401,46 @@ def test_probability_of_a_catalog_and_of_other_targets(run, tycho):
 
 
 def test_the_message_for_an_unknown_option_names_a_key(run):
-    for option, key in (("--frame", "catalog.frame"), ("--time-limit", "options.time_limit")):
-        code, _, err = run("plan", option, "5")
+    for *words, key in (
+        ("--frame", "galactic", "catalog.frame"),
+        ("--time-limit", "5", "options.time_limit"),
+        ("--time-limit=5 min", "options.time_limit"),
+        ("--time-limit", "options.time_limit"),
+        ("--parked-obstacles", "stars.csv", "options.parked_obstacles"),
+        ("--units", "ra=hour", "catalog.units.NAME"),
+        ("--targets", "outcome", "output.targets"),
+    ):
+        code, _, err = run("plan", *words)
         assert code == 2
-        assert f"No such option: {option}" in err
+        assert f"No such option: {words[0].partition('=')[0]}" in err
         assert f"--set {key}=VALUE" in err
+
+
+def test_the_message_for_an_unknown_option_names_no_key_for_other_kinds_of_values(run):
+    """``plan --targets 1000`` named ``output.targets``, which is the color of targets in plots."""
+    for words in (("--targets", 1000), ("--targets=1000",), ("--programs", "few")):
+        code, _, err = run("plan", *words)
+        assert (code, "No such option" in err, "Possible" in err) == (2, True, False)
+
+
+def test_the_keys_that_messages_for_unknown_options_name_accept_the_value(run):
+    n = 0
+    for name in COMMANDS:
+        group = commands().get_command(None, name)
+        inner = getattr(group, "commands", {"": group})
+        for words, command in [([name, *one.split()], command) for one, command in inner.items()]:
+            keys = getattr(command.callback, "keys", {})
+            options = {"--" + key.rpartition(".")[2].replace("_", "-") for key in keys}
+            for option in options - {one for parameter in command.params for one in parameter.opts}:
+                for value in ("1000", "text", "a=b"):
+                    err = run(*words, option, value)[2]
+                    assert "No such option" in err
+                    if found := re.search(r"--set (\S+?)(\.NAME)?=VALUE", err):
+                        n += 1
+                        if bool not in keys[found[1]].kinds:
+                            add_text(keys, {}, f"{found[1]}{'.' if found[2] else '='}{value}", set())
+                            assert value != "1000" or not keys[found[1]].texts_only(entry=False)
+    assert n > 100
 
 
 @pytest.mark.exhaustive

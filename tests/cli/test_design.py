@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import flat
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey._cli import _designs
+from rfpsurvey._cli import design
 from rfpsurvey.plot._style import COLLISION
 
 MM = u.mm
@@ -52,7 +52,7 @@ def test_rows_of_the_front_are_told_apart(capsys):
     table = QTable({"a": [1.0, 1.0, 2.0], "b": [0.12345678, 0.12345679, 0.5], "c": [0.5, 0.25, np.nan], "n": [1, 2, 3]})
     table["a"].info.format = ".3f"
     for name in "abc":
-        _designs._format(table[name])
+        design._format(table[name])
     shown = {name: list(table[name].info.iter_str_vals()) for name in "abc"}
     assert shown == {
         "a": ["1.000", "1.000", "2.000"],
@@ -238,7 +238,7 @@ def test_a_long_front_is_cut_and_a_comparison_may_be_impossible(run, monkeypatch
     def impossible(table):
         raise rs.InputError("no design is better")
 
-    monkeypatch.setattr(_designs, "MOST_ROWS", 1)
+    monkeypatch.setattr(design, "MOST_ROWS", 1)
     monkeypatch.setattr(rs.design, "design_improvements", impossible)
     out = run("design", "--instrument", "sdss_apo", "--n-designs", 8)[1]
     n_front = int(out.partition("max, loss min): ")[2].split("\n")[0])

@@ -27,6 +27,15 @@ def words_of(folder, *others):
     return ("potential", folder / "points.fits", "--instrument", "moons", *others)
 
 
+def test_a_plan_file_is_written_and_read(run, files, tmp_path):
+    """Regression: ``--write-plan`` ended with an AttributeError, because the command has no options of allocators."""
+    folder, plan = files[0], tmp_path / "plan.toml"
+    tiles = ("--tiles", folder / "tiles.ecsv")
+    code, _, err = run(*words_of(folder, *tiles, "--write-plan", plan))
+    assert code == 0, err
+    assert run("potential", plan)[1].splitlines()[:2] == run(*words_of(folder, *tiles))[1].splitlines()[:2]
+
+
 @pytest.mark.parametrize("with_survey", [False, True])
 def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp_path, with_survey):
     folder, points, tiles, survey = files

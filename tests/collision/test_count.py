@@ -52,8 +52,10 @@ def test_draws_are_configurations_of_the_queues(plane, rng):
     )
     reports = []
     for row in uniform:
-        target = np.empty(len(plane), np.int64)
-        kernels.draw_configuration(*allocation.queues, row, target)
+        indptr, queue = allocation.queues
+        place = np.empty((1, len(plane)), np.int64)
+        kernels.draw_places(indptr, row[None], place)
+        target = np.where(place[0] >= 0, queue[place[0]], -1)
         used = target >= 0
         tips = np.where(used[:, None], xy[target], np.nan)
         drawn = replace(

@@ -18,7 +18,7 @@ from shapely import MultiPoint, Point, contains_xy
 from shapely.ops import unary_union
 
 import rfpsurvey as rs
-from rfpsurvey.compare._fields import synthetic_fields
+from rfpsurvey.compare._allocators import synthetic_fields
 from rfpsurvey.pipeline import project_field
 from rfpsurvey.plot import draw_instruments
 from rfpsurvey.probability import rate_interval

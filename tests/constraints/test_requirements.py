@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import Shortfall, sentences
+from rfpsurvey.allocation import Shortfall
+from rfpsurvey.constraints import sentences
 
 names = st.text(st.characters(codec="utf-8", exclude_characters="@=/<>\n", exclude_categories=("C", "Z")), min_size=1)
 
@@ -76,6 +77,13 @@ def test_text_of_another_form_is_an_error(text):
 def test_nothing_but_text_is_parsed():
     with pytest.raises(rs.InputError, match="a requirement must have a form such as .*, got 5"):
         rs.Requirement.parse(5)
+
+
+@pytest.mark.parametrize("text", ["science+standard=5/spectrograph", "Standard + science=5"])
+def test_a_requirement_on_several_roles_is_an_error(text):
+    """It was reported as missing, although there are such targets."""
+    with pytest.raises(rs.InputError, match="must contain one role, got .*, such as science=5 and standard=5"):
+        rs.Requirement.parse(text)
 
 
 def test_half_a_range_is_an_error():

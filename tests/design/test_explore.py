@@ -17,8 +17,8 @@ import flat
 import rfpsurvey as rs
 from oracles import annuli_coverage
 from rfpsurvey.design import _checkpoint
-from rfpsurvey.design._front import on_front
 from rfpsurvey.design._losses import METHODS, _gap
+from rfpsurvey.design._rows import on_front
 from rfpsurvey.design._work import Task
 
 MM = u.mm

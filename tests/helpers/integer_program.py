@@ -7,7 +7,23 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 from brute import bodies_of, conflicts_of, options_of
 
-__all__ = ["LexicographicProgram"]
+__all__ = ["LexicographicProgram", "counts", "groups_of"]
+
+
+def groups_of(plane, requirements):
+    """Return each requirement with each spectrograph to which it applies; None is the whole tile."""
+    spectrographs = np.unique(plane.spectrograph).tolist()
+    return [(one, place) for one in requirements for place in ([None] if one.per == "tile" else spectrographs)]
+
+
+def counts(plane, one, place, i, t, *, kind, category, fiber_type=None):
+    """Return whether a fiber of positioner i on target t counts toward a requirement in a spectrograph."""
+    fiber = ("" if fiber_type is None else fiber_type[t]) or plane.fiber_type[i].split("+")[0]
+    spectrograph = plane.spectrograph[i]
+    if np.ndim(spectrograph):
+        spectrograph = spectrograph[plane.fiber_types.index(fiber)]
+    names = category if (category == one.what).any() else kind
+    return one.what in names[t].split("+") and one.fiber_type in ("", fiber) and place in (None, spectrograph)
 
 
 class LexicographicProgram:
@@ -17,9 +33,11 @@ class LexicographicProgram:
     the collisions of idle arms, and the sum of the subpriorities of the science targets.
     """
 
-    def __init__(self, plane, xy, subpriority, *, priority, kind, category, requirements, required, parked=True):
-        self.choices = options_of(plane, xy, None, both=False)
-        bodies = bodies_of(plane, xy, self.choices, None, parked)
+    def __init__(
+        self, plane, xy, subpriority, *, priority, kind, category, requirements, required, parked=True, fiber_type=None
+    ):
+        self.choices = options_of(plane, xy, fiber_type, both=False)
+        bodies = bodies_of(plane, xy, self.choices, fiber_type, parked)
         pairs, barred = conflicts_of(plane, bodies)
         keys = [(i, k) for i, mine in enumerate(self.choices) for k in range(len(mine))]
         self.column = {key: c for c, key in enumerate(keys)}
@@ -32,7 +50,8 @@ class LexicographicProgram:
             and bodies[j][0] is not None
             and bodies[i][0].distance(bodies[j][0]) < separation
         ]
-        n, m = len(keys), len(requirements)
+        columns = {"kind": kind, "category": category, "fiber_type": fiber_type}
+        n, m = len(keys), len(groups := groups_of(plane, requirements))
         self.n, size = n, n + m + len(touching)
         rows, low, high = [], [], []
 
@@ -53,10 +72,9 @@ class LexicographicProgram:
             add([self.column[a], self.column[b]], -np.inf, 1)
         for key in barred:
             add([self.column[key]], 0, 0)
-        for r, one in enumerate(requirements):
-            names = category if (category == one.what).any() else kind
-            has = np.array([one.what in name.split("+") for name in names.tolist()], dtype=bool)
-            held = np.flatnonzero((target >= 0) & has[target])
+        for r, (one, place) in enumerate(groups):
+            fibers = zip(keys, target.tolist(), strict=True)
+            held = [c for c, ((i, _), t) in enumerate(fibers) if t >= 0 and counts(plane, one, place, i, t, **columns)]
             add(held, one.minimum, np.inf, [(n + r, 1.0)])
             if one.maximum is not None:
                 add(held, -np.inf, one.maximum)

@@ -21,11 +21,19 @@ def instrument() -> rs.Instrument:
     return rs.Instrument("tiny", plane, plate_scale=200 * u.mm / u.deg)
 
 
-def targets(seed: int = 0, *, kinds: bool = False, n: int = N, radius: float = 0.35) -> rs.Catalog:
-    """Return targets with priorities and one to three visits; some of them are standards if ``kinds`` is true."""
+KINDS = {"science": 0.8, "standard": 0.1, "sky": 0.1}
+SEVERAL_ROLES = {"science": 0.5, "science+standard": 0.3, "science+sky": 0.1, "standard": 0.05, "sky": 0.05}
+
+
+def targets(seed: int = 0, *, kinds: bool = False, roles: bool = False, n: int = N, radius: float = 0.35) -> rs.Catalog:
+    """Return targets with priorities and one to three visits.
+
+    If ``kinds`` is true, some of them are standards or sky positions; with ``roles``, some have several roles.
+    """
     rng = np.random.default_rng(seed)
     sky = rs.synthetic_catalog("uniform", CENTER, radius * u.deg, n_targets=n, rng=seed)
-    kind = rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1]) if kinds else None
+    fractions = SEVERAL_ROLES if roles else KINDS
+    kind = rng.choice([*fractions], n, p=[*fractions.values()]) if kinds or roles else None
     numbers = {"priority": rng.integers(1, 4, n), "visits": rng.integers(1, 4, n)}
     return rs.Catalog(sky.coord, id=1000 + np.arange(n), kind=kind, **numbers)
 

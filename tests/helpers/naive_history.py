@@ -1,5 +1,6 @@
 """A second implementation of the state of a survey: every observation in a list, every count in a dict."""
 
+import hashlib
 from dataclasses import dataclass, field
 from io import BytesIO
 
@@ -21,14 +22,37 @@ class Observation:
 
     def visits(self) -> list[tuple]:
         """Return the identifier of the target, the positioner and the success of the plan for each science visit."""
-        with fits.open(BytesIO(self.plan)) as units:
-            rows = units[1].data
-            kinds = rows["kind"] if "kind" in rows.names else ["science"] * len(rows)
-            return [
-                (int(row["target_id"]), str(row["positioner"]), bool(row["observed"]))
-                for row, kind in zip(rows, kinds, strict=True)
-                if row["target_row"] >= 0 and kind == "science"
-            ]
+        return [one[:3] for one in visits_of(self.plan) if "science" in one[3]]
+
+
+def visits_of(plan: bytes) -> list[tuple]:
+    """Return the identifier of the target, the positioner, the success and the roles of each visit of a plan."""
+    if not plan:
+        return []
+    with fits.open(BytesIO(plan)) as units:
+        rows = units[1].data
+        kinds = rows["kind"] if "kind" in rows.names else ["science"] * len(rows)
+        return [
+            (int(row["target_id"]), str(row["positioner"]), bool(row["observed"]), kind.split("+"))
+            for row, kind in zip(rows, kinds, strict=True)
+        ]
+
+
+def digests(plan: bytes) -> list[str]:
+    """Return the texts that identify a plan in a table: the entry of its header, and the checksum of its file."""
+    with fits.open(BytesIO(plan)) as units:
+        return [units[1].header["PLANID"], hashlib.sha256(plan).hexdigest()]
+
+
+def results_of(rows: list[dict], plan: bytes) -> tuple[list, list]:
+    """Return the positioners that failed and that were good according to a table; None for those without a visit."""
+    names = {str(text): one[1] for one in visits_of(plan) for text in one[:2]}
+    results = [
+        (names.get(one.get("positioner") or one["target"]), one.get("good"))
+        for one in rows
+        if {*one} & {"positioner", "target"}
+    ]
+    return [name for name, good in results if not good], [name for name, good in results if good]
 
 
 def statements(state: str, failed=(), fraction: float = 1.0, good=()) -> frozenset:
@@ -52,6 +76,17 @@ class NaiveHistory:
             elif word == "observe" and (one.tile, one.date) == (tile, date):
                 found.append(one)
         return found
+
+    def plan(self, tile: str, date: str, present: bytes, digest: str = "") -> bytes:
+        """Return the plan with which a tile was observed on a date, of which a table gives the digest; empty if none.
+
+        It is that of the recorded observation of this date. Without such an observation, it is the present plan, or
+        with a digest, the plan of any earlier record of this tile.
+        """
+        plans = [one.plan for one in self.of(tile) if one.date == date] or [present]
+        if digest and plans == [present]:
+            plans += [one.plan for word, one in self.log[::-1] if word == "observe" and one.tile == tile]
+        return next((plan for plan in plans if plan and (not digest or digest in digests(plan))), b"")
 
     def is_known(self, tile: str, date: str, said: frozenset) -> bool:
         """Return whether one earlier record of a tile and a date makes all statements."""

@@ -101,6 +101,37 @@ def margins() -> list[Quoted]:
     return [Quoted("margins", f"{name} ... {printed}", f"{row} ... # (#) # (#) # (#)") for name, row in plans.items()]
 
 
+def modules() -> list[Quoted]:
+    """Return the rows of the tables on designs of modules."""
+    arms = " ... ".join(f"mm, {n} targets per positioner: {{'optimal': (#, ... 'nearest': (#," for n in (1, 4))
+    gaps = {"0.0": "0", "2.0": "2.0", "4.4": "4.4 (the preset)", "8.0": "8.0"}
+    broken = {"1%": "1 %", "3%": "3 %", "10%": "10 %"}
+    return [
+        *(
+            Quoted("modules", f"arms of {length} {arms}", f"{length} # # # #")
+            for length in ("1.8", "2.0", "2.2", "2.4")
+        ),
+        *(
+            Quoted("modules", f"gap {name} mm, ... positioners: #% and #%", f"{row} # % # %")
+            for name, row in gaps.items()
+        ),
+        *(
+            Quoted("modules", f"{n} of 63 fibers ... mm: {{'LR': #, 'HR': #}}", f"HR fibers ... {n} # #")
+            for n in (6, 12, 21)
+        ),
+        *(Quoted("modules", f"{name} broken: [#, #]", f"{row} # (... %) # (") for name, row in broken.items()),
+    ]
+
+
+def allocators() -> list[Quoted]:
+    """Return the rows of the table on the default allocator, without times."""
+    return [
+        Quoted("allocation", f"{name} {each} ... # ... # ... #", f"{name} {each} # # #")
+        for name in ("desi", "lamost", "moons", "pfs", "sdss_apo")
+        for each in ("0.5", "1", "2", "5", "10", "20", "50")
+    ]
+
+
 PAIRS = "(# percent of all pairs for LAMOST, # percent"
 SCRIPTS = {
     ("accuracy_figures",): [
@@ -126,6 +157,7 @@ SCRIPTS = {
         Quoted("margins", "PFS design, nominal: # of # out", "a quarter of its positions (# of # for the"),
         Quoted("margins", "PFS design, as built: # of", "nominal instrument, and # for the centers"),
     ],
+    ("default_allocator",): allocators(),
     ("observing_desi",): [
         Quoted("observing", "largest residual # mm of", "any of the 19 settings is # mm"),
         Quoted("observing", "largest median # mm,", "and the largest median is # mm"),
@@ -146,6 +178,9 @@ SCRIPTS = {
         )
         for name, title in {"sdss_apo": "SDSS-V", "moons": "MOONS", "desi": "DESI", "pfs": "PFS"}.items()
     ],
+    ("rare_collisions",): [
+        Quoted("probability", "pitch 36.5 mm: ... held #,", "contains the true value in # % of the runs", 100)
+    ],
     ("rule_figures", "--field", "sdss_apo:bright_time", "--seconds", "20"): [
         Quoted(
             "rules",
@@ -153,5 +188,6 @@ SCRIPTS = {
             "``bright_time`` no rules # ... numbers of fibers # ... magnitudes # ... bright stars # ... distribution #",
         ),
     ],
+    ("stage5_figures", "arms", "gaps", "classes", "broken"): modules(),
 }
 """The command line of each script, and the numbers that pages quote."""

@@ -9,7 +9,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.pipeline._blank_sky import blank_ids
+from rfpsurvey.pipeline._field import blank_ids
 
 SMALLEST, LARGEST = np.iinfo(np.int64).min, np.iinfo(np.int64).max
 

@@ -15,7 +15,7 @@ from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey.allocation._methods import METHODS
-from rfpsurvey.selection._realizations import seeds_of
+from rfpsurvey.selection._state import seeds_of
 from rfpsurvey.tiling import conditions_of_tiles
 from rfpsurvey.tiling._problem import TilingState
 

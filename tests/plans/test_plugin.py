@@ -39,6 +39,37 @@ def test_plans_of_the_example_are_written_read_and_scored(laboratory, presets, t
         rs.plans.write_plan(plan, path)
 
 
+HOOKS = """
+NORTH_OF_DATE, EPOCH_OF_OBSERVATION = "Survey X", True
+def magnitudes(plan):
+    return {"band": plan["x"].value * 0 + 15}
+def neglected(plan, sky):
+    return [f"offsets of {len(plan)} targets are neglected"] if sky else ["colors are neglected"]
+def lost(plan):
+    return []
+"""
+
+
+def test_optional_names_of_a_format_are_used(install, presets, tmp_path):
+    parts = "ENDINGS, read, write, recognizes = ('.hooks',), None, None, lambda path: False"
+    install("hooked", parts + HOOKS + HERE, plan_formats={"hooked": "HERE"})
+    tile = rs.plan_tile(rs.example_catalog(), presets["moons"], position_angle=20 * u.deg)
+    plan = rs.plans.as_plan(tile)
+    plan.meta["format"] = "hooked"
+    n = tile.summary["n_assigned"]
+    rule = rs.constraints.MagnitudeLimits("band", 16, 20, "science")
+    with pytest.warns(rs.RfpsurveyWarning, match="colors are neglected") as caught:
+        score = rs.score_tile(plan, presets["moons"], constraints=[rule])
+    assert len(caught) == 1
+    assert score.rules["number"].tolist() == [n]
+    del plan.meta["north_of"]
+    with pytest.warns(rs.RfpsurveyWarning) as caught:
+        rs.score_tile(plan, presets["moons"], positions="sky")
+    texts = [str(one.message) for one in caught]
+    assert any(text == f"offsets of {n} targets are neglected" for text in texts)
+    assert any("Survey X uses the north of date" in text for text in texts)
+
+
 def test_a_broken_package_breaks_no_other_format(install, presets, tmp_path):
     install("bad", "import not_there", plan_formats={"bad": "HERE"})
     tile = rs.plan_tile(rs.example_catalog(), presets["moons"])
@@ -57,3 +88,23 @@ def test_incomplete_and_unknown_formats_are_named(laboratory, install, tmp_path)
         rs.plans.read_plan(tmp_path / "a.lab", format="less")
     with pytest.raises(rs.InputError, match="unknown format of plans 'lib'; choose one of: .*lab.*Did you mean 'lab'"):
         rs.plans.read_plan(tmp_path / "a.lab", format="lib")
+
+
+def test_an_ending_can_have_several_parts_and_a_format_no_instrument(install, presets, tmp_path, run):
+    section = PAGE.partition("Formats of plans\n-----")[2]
+    example = dedent(re.search(r"\n\n((?:    .*\n|\n)+)", section)[1]).replace('(".lab",)', '(".plain.csv",)')
+    example = example.replace('.suffix == ".lab"', '.name.endswith(".plain.csv")').replace('"instrument": "lab", ', "")
+    install("laboratory", example + HERE, plan_formats={"lab": "HERE"})
+    tile = rs.plan_tile(rs.example_catalog(), presets["moons"])
+    path = tmp_path / "plan.plain.csv"
+    rs.plans.write_plan(tile, path)
+    assert rs.plans.recognize_plan(path) == "lab"
+    with pytest.raises(rs.InputError, match=r"must end in one of .ecsv, .fits, .par, .plain.csv \(or with .gz\)"):
+        rs.plans.write_plan(tile, tmp_path / "plan.csv")
+    code, _, error = run("score", path)
+    assert code == 2
+    assert "--instrument must name the instrument of the assignment" in error
+    code, out, _ = run("convert", path, tmp_path / "other.plain.csv")
+    assert code == 0
+    n = tile.summary["n_assigned"]
+    assert f"other.plain.csv: {n} of {n} fibers have a target" in " ".join(out.split())

@@ -6,7 +6,7 @@ from astropy.table import QTable
 from matplotlib.patches import FancyArrowPatch
 
 import rfpsurvey as rs
-from rfpsurvey.plot._compass import add_compass
+from rfpsurvey.plot._axes import add_compass
 
 CENTER = SkyCoord(95, 23, unit="deg")
 

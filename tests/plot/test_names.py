@@ -6,7 +6,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.plot._names import MOST, short_names
+from rfpsurvey.plot._classes import MOST, short_names
 
 CENTER = SkyCoord(95, 23, unit="deg")
 SETS = {

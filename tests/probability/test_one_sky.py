@@ -6,8 +6,8 @@ from scipy import stats
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.probability import Precision, RandomTargets, rate_interval
-from rfpsurvey.probability._one_sky import BEYOND, CORRELATION, sky_variance
+from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets, rate_interval
+from rfpsurvey.probability._intervals import BEYOND, CORRELATION, sky_variance
 from rfpsurvey.probability._run import summarize
 from rfpsurvey.probability._simulate import Simulation
 from rfpsurvey.probability._targets import make_source
@@ -94,7 +94,8 @@ def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     simulation, precision = Simulation(plane, source, rs.AllocationOptions("balanced")), Precision(None, 1)
     truth = simulation.expect(4000, np.random.default_rng(1)).rates().mean()
     rng = np.random.default_rng(2)
-    found = [summarize([simulation.expect(1, rng)], plane, precision, rng, given=True) for _ in range(n)]
+    question = ProbabilityQuestion(plane, precision=precision, rng=rng)  # each realization is one sky
+    found = [summarize([simulation.expect(1, rng)], question) for _ in range(n)]
     held = sum(f["low"] <= truth <= f["high"] for f in found)
     assert stats.binom.ppf(1e-3, n, 0.95) <= held
     scatter = np.std([f["value"] for f in found])

@@ -10,7 +10,7 @@ import pytest
 import flat
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation
-from rfpsurvey.probability._environments import environments
+from rfpsurvey.probability._quadrature import environments
 from scenes import MM, SCENES, both_hands, lamost_like, sdss_like, with_troubles
 
 NUMBERS = ("value", "value_assigned", "pairs_per_positioner")

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.probability._environments import environments
+from rfpsurvey.probability._quadrature import environments
 from rfpsurvey.probability._surrogate import AXES, interior_probability
 
 MM = u.mm

@@ -16,7 +16,7 @@ import rfpsurvey as rs
 from refusals import refusal, sentence
 from rfpsurvey import _io
 from rfpsurvey._readers import read_fits_bytes, read_table, read_tables
-from rfpsurvey._readers._plain_fits import read_plain
+from rfpsurvey._readers._fits import read_plain
 
 DEG = u.deg
 GOOD = [f"s{k},{10 + 0.01 * k},20.0" for k in range(100)]

@@ -5,8 +5,9 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.report import survey_facts, tile_facts
 from rfpsurvey.report._tile import _asked
+from rfpsurvey.survey import survey_facts
+from rfpsurvey.tile import tile_facts
 
 CENTER = SkyCoord(95, 23, unit="deg")
 
@@ -66,3 +67,11 @@ def test_idle_arms_that_are_no_obstacles_are_not_called_obstacles(presets, sky, 
     asked = _asked(tile)
     assert "idle arms are obstacles" not in asked
     assert asked["idle arms that are obstacles"].startswith(expected)
+
+
+def test_kinds_without_a_fiber_are_shown_with_0(presets, sky):
+    """Regression: the numbers of fibers on standard stars and on sky were not shown if they were 0."""
+    kind = np.array(["science", "standard", "sky"])[np.arange(len(sky)) % 3]
+    facts = tile_facts(rs.plan_tile(rs.Catalog(sky.coord, kind=kind), presets["lamost"], CENTER))
+    assert facts["    to science targets"] > 0
+    assert facts["    to standard stars"] == facts["    to sky"] == 0

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 from pages import Reader
 from rfpsurvey.report import _survey, _tables, _tile
-from rfpsurvey.report._facts import tile_facts
+from rfpsurvey.tile import tile_facts
 
 CENTER = SkyCoord(95, 23, unit="deg")
 

@@ -7,7 +7,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.report._sky_view import sky_view
+from rfpsurvey.report._views import sky_view
 
 CENTER = SkyCoord(95, 23, unit="deg")
 VIEW = "document.querySelector('.view').view"

@@ -8,8 +8,7 @@ from hypothesis import strategies as st
 
 import rfpsurvey as rs
 from rfpsurvey.report import estimate_facts
-from rfpsurvey.report._numbers import column_texts
-from rfpsurvey.report._text import text_of
+from rfpsurvey.report._text import column_texts, text_of
 
 
 @given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))

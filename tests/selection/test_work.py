@@ -6,6 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from realizations import sky_of, tiles_of
+from rfpsurvey._kernels.batch import BORDERLINE
 from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection import _work
 from rfpsurvey.selection._work import Poses
@@ -35,7 +36,7 @@ def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
     k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
     chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
     lost = np.empty(chosen.shape, dtype=bool)
-    Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False).find_lost(chosen, lost)
+    Poses(plane, FieldReach(None, xy, None, 0.0), pairs, parked_obstacles=False).find_lost(chosen, lost)
     assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
     assert len(calls) == (abs(gap - D) < 0.1)
 
@@ -47,7 +48,7 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
     xy = np.array([[-gap, 0.0]])
     lost = np.empty((1, 2), dtype=bool)
     pairs = plane.arrays.reach(xy)
-    poses = Poses(plane, FieldReach(None, xy, None, pairs), pairs, parked_obstacles=False)
+    poses = Poses(plane, FieldReach(None, xy, None, 0.0), pairs, parked_obstacles=False)
     poses.find_lost(np.array([[0, -1]]), lost)
     assert lost.tolist() == [[collides, False]]
     assert len(calls) == (abs(gap) < 0.1)
@@ -60,10 +61,14 @@ def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):
     assert expected.realizations["n_lost"].min() > 0
     assert not calls
 
-    def unsure(*args):
-        args[-2][:], args[-1][:] = False, True
+    count = _work.count_poses
 
-    monkeypatch.setattr(_work.kernels, "find_lost", unsure)
+    def unsure(*args):
+        counts = count(*args)
+        counts[:, BORDERLINE], args[5][:] = 1, 0
+        return counts
+
+    monkeypatch.setattr(_work, "count_poses", unsure)
     found = rs.selection_probabilities(sky, small, tiles, 5, allocator="nearest")
     assert len(calls) == 5 * len(tiles)
     np.testing.assert_array_equal(found.bits, expected.bits)

@@ -290,3 +290,26 @@ def test_targets_that_constraints_exclude_have_their_own_outcome(small, tmp_path
     assert (replanned.outcomes["outcome"] == survey.outcomes["outcome"]).all()
     status = rs.survey.survey_status(replanned, replanned.state(sky))
     assert status["n_impossible"][0] == excluded.sum() + np.count_nonzero(~in_reach) + len(sky) - len(rows)
+
+
+def test_an_equal_constraint_with_another_text_continues_a_survey(tmp_path):
+    coord = rs.synthetic_catalog("uniform", CENTER, 0.6 * u.deg, n_targets=200, rng=3).coord
+    sky = rs.Catalog(coord, extra={"h": np.linspace(6, 14, 200)})
+    limits = [rs.constraints.MagnitudeLimits("h", 7, 13), "magnitude h 7 13", "magnitude h 7 12.9"]
+    assert len({str(rs.AllocationOptions(constraints=one).constraints[0]) for one in limits}) == 3
+
+    def plan(constraint, folder, **options):
+        asked = rs.AllocationOptions("nearest", constraints=constraint)
+        return rs.plan_survey(sky, "moons", CENTER[None], allocator=asked, folder=folder, **options)
+
+    first = plan(limits[0], tmp_path / "survey")
+    assert plan(limits[1], tmp_path / "survey", resume=True).summary == first.summary
+    with pytest.raises(rs.InputError, match="constraints differs"):
+        plan(limits[2], tmp_path / "survey", resume=True)
+
+    asked = [rs.AllocationOptions("nearest", constraints=one) for one in limits]
+    folder = tmp_path / "selection"
+    rs.selection_probabilities(sky, "moons", CENTER[None], 2, allocator=asked[0], folder=folder)
+    rs.selection_probabilities(sky, "moons", CENTER[None], 2, allocator=asked[1], folder=folder, resume=True)
+    with pytest.raises(rs.InputError, match="constraints differs"):
+        rs.selection_probabilities(sky, "moons", CENTER[None], 2, allocator=asked[2], folder=folder, resume=True)

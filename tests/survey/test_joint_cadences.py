@@ -62,7 +62,10 @@ def with_sequences(instrument, tiling, catalog):
     days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
     n = len(program.target)
     target, tile, found = program.target.copy(), program.tile.copy(), []
+    science = science_targets(catalog)
     for t, name in enumerate(catalog.extra["cadence"]):
+        if not science[t]:
+            continue
         tiles = [k for k in np.argsort(days).tolist() if ((target == t) & (tile == k)).any()]
         some = list(sequences(str(name), tiles, days, brightness))
         index = program.extend(len(some))
@@ -74,14 +77,16 @@ def with_sequences(instrument, tiling, catalog):
             program.add(np.append(mine, uses), 0, 0, values)
         found += [(t, visits, whole) for _, visits, whole in some]
     rows = np.array(found, dtype=int).reshape(-1, 3)
-    classes = np.unique(catalog.priority)[::-1]
+    classes = np.unique(catalog.priority[science])[::-1]
     weights = np.zeros((len(classes), 2, len(program.target)))
     for k, value in enumerate(classes):
         mine = catalog.priority[rows[:, 0]] == value
-        if catalog.kind is not None:
-            mine &= catalog.kind[rows[:, 0]] == "science"
         weights[k, 0, n:], weights[k, 1, n:] = rows[:, 2] * mine, rows[:, 1] * mine
     return program, weights
+
+
+def science_targets(catalog):
+    return np.ones(len(catalog), bool) if catalog.kind is None else np.char.find(catalog.kind, "science") >= 0
 
 
 def catalog_with_visits(catalog, tiling):
@@ -95,10 +100,11 @@ def catalog_with_visits(catalog, tiling):
 
 def counts_of(survey, catalog):
     """Return the complete cadences and the visits of each class, class by class."""
-    whole = np.asarray(survey.outcomes["observed"] == survey.outcomes["requested"])
-    visits = np.asarray(survey.outcomes["observed"])
-    classes = np.unique(catalog.priority)[::-1]
-    return [[int(one[catalog.priority == value].sum()) for one in (whole, visits)] for value in classes]
+    science = science_targets(catalog)
+    whole = np.asarray(survey.outcomes["observed"] == survey.outcomes["requested"])[science]
+    visits, priority = np.asarray(survey.outcomes["observed"])[science], catalog.priority[science]
+    classes = np.unique(priority)[::-1]
+    return [[int(one[priority == value].sum()) for one in (whole, visits)] for value in classes]
 
 
 @pytest.mark.few(1)
@@ -138,6 +144,58 @@ def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(chunk):
     assert n_better
 
 
+@pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+@pytest.mark.few(1)
+@pytest.mark.parametrize(
+    "chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, N_CASES // CHUNK))]
+)
+def test_targets_are_reused_as_standards_outside_their_windows(chunk):
+    """Regression: in joint plans, each fiber of a science target that is also a standard used a visit."""
+    needs = [rs.Requirement.parse(text) for text in ("standard=2", "sky=1-2")]
+    n_reused = n_better = 0
+    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+        instrument, tiling, catalog, options = random_survey(seed, n_tiles=5)
+        kinds = ["science", "science+standard", "science+sky", "standard", "sky"]
+        kind = np.random.default_rng([seed, 5]).choice(kinds, len(catalog), p=[0.3, 0.4, 0.1, 0.1, 0.1])
+        catalog, options = replace(catalog, kind=kind), replace(options, requirements=needs)
+        common = {"visits": Cadences(TABLE), "rng": seed}
+        first = rs.plan_survey(catalog, instrument, tiling, allocator=options, **common)
+        joint = rs.JointOptions(iterations=3, allocator=options)
+        survey = rs.plan_survey(catalog, instrument, tiling, allocator=joint, **common)
+        check_windows(survey, tiling, catalog)
+        copied = np.flatnonzero(np.char.find(kind, "science+") >= 0)
+        both = catalog[np.append(np.arange(len(kind)), copied)]
+        kind = np.append(kind, np.char.replace(kind[copied], "science+", ""))
+        both = replace(both, kind=kind, id=np.arange(len(both)))
+        program, weights = with_sequences(instrument, tiling, both)
+        for tile, (part, old) in enumerate(zip(survey, first, strict=True)):
+            for k, row in enumerate(copied):  # a copy of a target is not a science target
+                of_both = np.isin(program.target, [row, len(catalog) + k]) & (program.tile == tile)
+                program.add(np.flatnonzero(of_both), 1)
+            for need in needs:
+                of_need = (np.char.find(np.append(kind, "")[program.target], need.what) >= 0) & (program.tile == tile)
+                n, before = (
+                    int((np.char.find(np.asarray(one["kind"]).astype(str), need.what) >= 0).sum())
+                    for one in (part, old)
+                )
+                least, most = min(need.minimum, before), np.inf if need.maximum is None else need.maximum
+                assert least <= n <= most, seed
+                program.add(np.flatnonzero(of_need), most, least)
+            n_reused += int((catalog.kind[np.asarray(part["target_row"])] != np.asarray(part["kind"])).sum())
+        found, before = (np.ravel(counts_of(one, catalog)).tolist() for one in (survey, first))
+        last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()][-len(weights) :]
+        assert np.asarray(last["n_visits"]).tolist() == np.cumsum(found[1::2]).tolist(), seed
+        assert np.asarray(last["n_complete"]).tolist() == np.cumsum(found[::2]).tolist(), seed
+        for k in range(len(weights)):
+            for j, name in enumerate(("bound_complete", "bound")):
+                goal = weights[: k + 1, j].sum(axis=0)
+                assert last[name][k] >= round(goal @ program.maximize(goal)), (seed, k, name)
+        assert before <= found, seed
+        n_better += found > before
+    assert n_reused
+    assert n_better
+
+
 def check_windows(survey, tiling, catalog):
     """Check that every visit is allowed, completes an epoch, and collides with no other arm."""
     targets = [Naive(str(name)) for name in catalog.extra["cadence"]]
@@ -146,8 +204,11 @@ def check_windows(survey, tiling, catalog):
         visits = survey._visits(tile)
         assert not np.asarray(visits["in_collision"]).any()
         rows = np.asarray(visits["target_row"])
+        others = set()
+        if catalog.kind is not None:
+            others = {*rows[np.char.find(np.asarray(visits["kind"]).astype(str), "science") < 0].tolist()}
         for row in rows[rows >= 0].tolist():
-            if catalog.kind is not None and catalog.kind[row] != "science":
+            if row in others:
                 continue
             assert targets[row].allows(days[tile], brightness[tile])[0]
             targets[row].observe(days[tile])

@@ -6,7 +6,7 @@ from scipy.sparse import csr_array
 
 from rfpsurvey import JointOptions
 from rfpsurvey.allocation import TileCandidates, no_rules
-from rfpsurvey.allocation._rules_of_tile import TileRules
+from rfpsurvey.allocation._weighted import TileRules
 from rfpsurvey.survey._joint._network import make_network
 from rfpsurvey.survey._joint._patches import Patches
 from rfpsurvey.survey._joint._paths import Paths

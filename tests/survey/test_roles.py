@@ -78,6 +78,39 @@ def test_targets_without_remaining_visits_keep_their_other_roles(seed, way, allo
         assert again.summary == survey.summary
 
 
+@pytest.mark.parametrize("joint", [False, True])
+def test_a_survey_states_how_many_science_targets_meet_requirements(joint, tmp_path):
+    catalog, tiles = targets(0), rs.Tiling.from_table(tiling(0, n=8).table)
+    options = rs.AllocationOptions("optimal", requirements=REQUIREMENTS)
+    where = {"allocator": rs.JointOptions(iterations=3, allocator=options) if joint else options}
+    where["folder"] = tmp_path / "survey"
+    survey = rs.plan_survey(catalog, instrument(), tiles, **where)
+    both = [int((np.char.find(np.asarray(part["kind"]).astype(str), "science+") >= 0).sum()) for part in survey]
+    assert survey.tiles["n_also_science"].tolist() == both
+    assert survey.summary["n_also_science"] == sum(both) > 0
+    assert rs.Survey.read(survey.folder).summary["n_also_science"] == sum(both)
+    (survey.folder / "tiles.fits").unlink()
+    again = rs.plan_survey(catalog, instrument(), tiles, **where, resume=True)
+    assert again.tiles["n_also_science"].tolist() == both
+    if not joint:
+        survey.record(events(tile=survey.tiles["tile"].tolist(), date="2026-01-03", state="done"))
+        rest = rs.plan_survey(catalog, instrument(), tiles, **where | {"folder": None}, visits=survey.state(catalog))
+        assert rest.tiles["n_also_science"].tolist() == both
+    assert rs.survey.survey_facts(survey)["    that also meet requirements"] == sum(both)
+    rs.report.write_report(survey, tmp_path / "report.html")
+    assert "that also meet requirements" in (tmp_path / "report.html").read_text()
+
+
+def test_surveys_whose_requirements_no_science_target_meets_do_not_state_a_number():
+    catalog, tiles = targets(0), rs.Tiling.from_table(tiling(0, n=8).table)
+    kind = np.where(np.char.find(catalog.kind, "+") >= 0, "science", catalog.kind)
+    for given, requirements in ((catalog, []), (catalog, ["science=0-9"]), (replace(catalog, kind=kind), REQUIREMENTS)):
+        options = rs.AllocationOptions("repair", requirements=requirements)
+        survey = rs.plan_survey(given, instrument(), tiles, allocator=options)
+        assert "n_also_science" not in survey.summary
+        assert "n_also_science" not in survey.tiles.colnames
+
+
 def test_only_visits_as_a_science_target_are_recorded(tmp_path):
     catalog, tiles = targets(1), rs.Tiling.from_table(tiling(1, n=8).table)
     options = rs.AllocationOptions("repair", requirements=REQUIREMENTS)

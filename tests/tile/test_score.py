@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -52,6 +54,28 @@ def test_a_tile_knows_its_field(presets, tiles, name):
     options = {"center": CENTER, "position_angle": 20 * u.deg, "positions": "sky"}
     expected = rs.score_tile(tile.table, presets[name], constraints=circle, **options)
     assert rs.score_tile(tile, presets[name], constraints=circle).summary["unmet"] == expected.summary["unmet"]
+
+
+@pytest.mark.parametrize("name", ["lamost", "sdss_apo"])
+def test_a_tile_of_a_preset_needs_no_instrument(presets, tiles, name, tmp_path):
+    expected = rs.score_tile(tiles[name], presets[name])
+    tiles[name].write(tmp_path / "tile.fits")
+    for tile in (tiles[name], rs.Tile.read(tmp_path / "tile.fits")):
+        score = rs.score_tile(tile, parked_obstacles=True)
+        assert score.provenance["instrument"] == expected.provenance["instrument"]
+        assert (score.table["colliding_with"] == expected.table["colliding_with"]).all()
+
+
+def test_instruments_that_are_not_presets_must_be_given(presets, tiles):
+    with pytest.raises(rs.InputError, match="instrument must be given, because a table does not contain"):
+        rs.score_tile(tiles["lamost"].table)
+    lamost = presets["lamost"]
+    broken = replace(lamost.focal_plane, disabled=np.arange(len(lamost.focal_plane)) == 7)
+    for instrument in (replace(lamost, focal_plane=broken), replace(lamost, name="other")):
+        tile = rs.score_tile(tiles["lamost"].table, instrument)
+        words = f"instrument must be given, because .* not made with an unchanged preset, .* '{instrument.name}'"
+        with pytest.raises(rs.InputError, match=words):
+            rs.score_tile(tile)
 
 
 def test_hole_names_and_field_columns(presets, tiles):

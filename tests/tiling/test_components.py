@@ -13,9 +13,8 @@ import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
 from rfpsurvey.tiling import _greedy
 from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
-from rfpsurvey.tiling._problem import TilingProblem, TilingState
+from rfpsurvey.tiling._problem import TilingProblem, TilingState, visit_all
 from rfpsurvey.tiling._serve import FreeFibers, neighbors_within
-from rfpsurvey.tiling._visit import visit_all
 
 DEG = u.deg
 

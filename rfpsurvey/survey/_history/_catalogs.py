@@ -1,7 +1,7 @@
 """Catalogs of surveys with recorded events: the columns that rules use, and comparisons of catalogs."""
 
+from collections.abc import Iterable
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
@@ -10,7 +10,6 @@ from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, listed, number_of
 from rfpsurvey.pipeline import PLANNED_COLUMNS
-from rfpsurvey.survey._history._events import read_request
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._source import InMemory, digest
 
@@ -29,24 +28,20 @@ def first_visits(
 
 def columns_of(catalog, visits: object) -> dict:
     """Return the columns of a catalog that rules use."""
-    names = ("id", "priority", "category", "kind", "visits")
-    own = {
-        name: getattr(catalog, name) if isinstance(catalog, Catalog) else catalog.parts.column(name) for name in names
-    }
-    n = len(catalog)
+    own, n = {name: column_of(catalog, name) for name in ("id", "priority", "category", "kind", "visits")}, len(catalog)
     requested = own.pop("visits") if visits is None else to_visits(visits, n)
     return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
 
 
 def is_science(catalog: Catalog | PartitionedCatalog) -> np.ndarray:
     """Return whether each target is a science target."""
-    kind = kinds_of(catalog)
+    kind = column_of(catalog, "kind")
     return np.ones(len(catalog), dtype=bool) if kind is None else has_role(kind, "science")
 
 
-def kinds_of(catalog: Catalog | PartitionedCatalog) -> np.ndarray | None:
-    """Return the kind of each target; None if the catalog does not have this column."""
-    return catalog.kind if isinstance(catalog, Catalog) else catalog.parts.column("kind")
+def column_of(catalog: Catalog | PartitionedCatalog, name: str) -> np.ndarray | None:
+    """Return a column of a catalog; None if the catalog does not have this column."""
+    return getattr(catalog, name) if isinstance(catalog, Catalog) else catalog.parts.column(name)
 
 
 def is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
@@ -67,13 +62,12 @@ def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
     return catalog
 
 
-def check_first_catalog(folder: Path, catalog: Catalog | PartitionedCatalog, visits: object, rule: VisitRule) -> None:
-    """Raise an error if a catalog is not that of the first plan of the survey in a folder.
+def check_first_catalog(request: dict, catalog: Catalog | PartitionedCatalog, visits: object, rule: VisitRule) -> None:
+    """Raise an error if a catalog is not that of the first plan of the survey with a recorded request.
 
     All functions that attribute visits to targets depend on this check, because visits refer to the rows of the
     catalog.
     """
-    request = read_request(folder)
     recorded, found = request.get("given", request.get("first", {}).get("catalog")), digest_of(catalog)
     if recorded is None and not request.get("epoch"):  # an earlier version planned the survey, and did not move targets
         recorded = request.get("catalog")
@@ -85,6 +79,14 @@ def check_first_catalog(folder: Path, catalog: Catalog | PartitionedCatalog, vis
             f"the catalog must be that of the first plan, with {recorded}, got another catalog with {found}; to add or "
             "change targets, record a table of targets"
         )
+    columns = request.get("columns", {})
+    now = column_digests(catalog, columns)
+    for name, before in columns.items():
+        if now[name] != before and (name != "visits" or visits is None):
+            raise InputError(
+                f"the catalog must be that of the first plan, got another catalog with other values of {name!r}; to "
+                "add or change targets, record a table of targets"
+            )
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
@@ -98,6 +100,14 @@ def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
         icrs, columns = catalog.coord.icrs, (getattr(catalog, name) for name in ("id", *PLANNED_COLUMNS))
         own = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns))
     return f"{number_of(len(catalog), 'target')}, digest {own}"
+
+
+def column_digests(catalog: Catalog | PartitionedCatalog, names: Iterable[str]) -> dict[str, str]:
+    """Return a digest of each of the given columns of a catalog in memory, such as visits and magnitudes."""
+    if isinstance(catalog, PartitionedCatalog):  # `digest_of` includes all columns
+        return dict.fromkeys(names, "")
+    columns = {"visits": catalog.visits, **catalog.arrays.extra}
+    return {name: digest(_widest(columns.get(name, getattr(catalog, name, None)))) for name in names}
 
 
 def extra_digest(catalog: Catalog | PartitionedCatalog) -> str:

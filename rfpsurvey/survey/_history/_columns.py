@@ -5,10 +5,10 @@ import re
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._units import to_flags, to_plain
+from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, warn
-from rfpsurvey.survey._history._events import BAD, DONE, PARTLY, STATES, to_date
-from rfpsurvey.survey._history._targets import IDS, NUMBERS, TEXTS, to_numbers
+from rfpsurvey.survey._history._events import TileState, to_date
+from rfpsurvey.survey._history._targets import IDS, NUMBERS, TEXTS, flag_codes, to_numbers
 
 ROLES = {
     "tile": ("tile", "tileid", "tile_id"),
@@ -26,13 +26,18 @@ ROLES = {
     "plan": ("plan", "planid", "plan_id"),
 }
 """Names of columns, by role; case is ignored."""
+PARTS = {
+    *("id", "objectid", "catalogid", "robot", "robotid", "fiber", "fiberid"),
+    *("location", "locid", "hole", "holeid", "petal"),
+}
+"""Names, without underscores, of columns that state a part of a tile, which can be a target or a positioner."""
 HARMLESS = ("timestamp", "version", "program", "archivedate")
 """Columns of tables of finished tiles of DESI that are ignored without a warning."""
 SYNONYMS = {
-    **{name: name for name in STATES},
-    **dict.fromkeys(("obsend", "complete", "completed", "observed", "good"), DONE),
-    **dict.fromkeys(("obsstart", "partial", "started"), PARTLY),
-    **dict.fromkeys(("failed", "rejected"), BAD),
+    **{name: name for name in TileState.ALL},
+    **dict.fromkeys(("obsend", "complete", "completed", "observed", "good"), TileState.DONE),
+    **dict.fromkeys(("obsstart", "partial", "started"), TileState.PARTLY),
+    **dict.fromkeys(("failed", "rejected"), TileState.BAD),
     **dict.fromkeys(("", "unobs", "unobserved", "pending"), ""),
 }
 """States of tiles in tables, and the state of the survey that each of them stands for; "" changes nothing."""
@@ -76,9 +81,19 @@ def roles_of(table: Table) -> dict[str, str]:
     return {role: lower[one] for role, names in ROLES.items() for one in reversed(names) if one in lower}
 
 
-def warn_of_others(table: Table, roles: dict[str, str]) -> None:
-    """Issue a warning that lists the columns of a table that are not used, unless they are usual."""
+def check_others(table: Table, roles: dict[str, str], id_name: str | None) -> None:
+    """Issue a warning that lists the columns of a table that are not used, unless they are usual.
+
+    Columns of parts of tiles, such as ``id_name``, are an error if there is no column of targets or positioners.
+    """
     unused = [name for name in table.colnames if name not in roles.values() and name.lower() not in HARMLESS]
+    parts = [name for name in unused if name == id_name or name.lower().replace("_", "") in PARTS]
+    if parts and not {"target", "positioner"} & {*roles}:
+        raise InputError(
+            f"a table of visits must have a column target or positioner, got the column {parts[0]!r}; state what it "
+            f"is, for example columns={{'target': {parts[0]!r}}} (or --column target={parts[0]}), or omit this column "
+            "if each row is a whole tile"
+        )
     if unused:
         warn(f"columns that are not used: {listed(unused)}; used: {listed(roles.values())}")
 
@@ -92,9 +107,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
         "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": _texts(table, roles.get("reason")) or [""] * n,
-        "positioner": _texts(table, roles.get("positioner")),
-        "target": _texts(table, roles.get("target")),
-        "plan": _texts(table, roles.get("plan")),
+        **{role: _texts(table, roles.get(role)) for role in ("positioner", "target", "plan")},
     }
 
 
@@ -123,12 +136,8 @@ def _goods(table: Table, roles: dict) -> list[bool | None] | None:
     """Return whether each row is good; None for missing values."""
     if "good" not in roles:
         return None
-    column = table[roles["good"]]
-    missing = np.ma.getmaskarray(np.ma.asarray(column))
-    if np.asarray(column).dtype.kind == "f":
-        missing = missing | np.isnan(np.asarray(column))
-    flags = to_flags(column, roles["good"]).tolist()
-    return [None if gone else flag for flag, gone in zip(flags, missing.tolist(), strict=True)]
+    codes = flag_codes(table[roles["good"]], roles["good"]).tolist()
+    return [None if code < 0 else code == 1 for code in codes]
 
 
 def _texts(table: Table, name: str | None) -> list[str] | None:

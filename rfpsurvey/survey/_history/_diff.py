@@ -7,24 +7,24 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._descriptions import Column, describe
 from rfpsurvey._folder import check_file
+from rfpsurvey._methods import table_of
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.survey._folder import part_name
-from rfpsurvey.survey._history._events import DONE, DROPPED, PARTLY, Events, read_events
+from rfpsurvey.survey._history._events import WORDS, Events, TileState, places_of, read_events
 from rfpsurvey.survey._history._replay import Replay, TileStates, replay
-from rfpsurvey.survey._history._targets import DROPPED as IS_DROPPED
-from rfpsurvey.survey._history._targets import ROW
+from rfpsurvey.survey._history._targets import DROPPED, ROW
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tile import describe
 
-DIFF = {
-    "tile": "identifier of the tile",
-    "positioner": "identifier of the positioner; empty for a change of the whole tile",
-    "before": "target of the positioner in the first survey; empty if there is none",
-    "after": "target of the positioner in the second survey; empty if there is none",
-    "reason": "reason of the change",
-}
-STATES = {DONE: "observed", PARTLY: "partly observed", DROPPED: "dropped", "planned": "planned again"}
+DIFF = table_of(
+    Column("tile", "identifier of the tile"),
+    Column("positioner", "identifier of the positioner; empty for a change of the whole tile"),
+    Column("before", "target of the positioner in the first survey; empty if there is none"),
+    Column("after", "target of the positioner in the second survey; empty if there is none"),
+    Column("reason", "reason of the change"),
+)
+STATES = WORDS | {TileState.PLANNED: "planned again"}
 REASONS = (
     "other catalog",
     "target dropped",
@@ -88,7 +88,7 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
         reasons += [] if one.places[rows[0]] == two.places[rows[1]] else ["moved"]
         changes.append(_changes(name, reasons))
-        if DROPPED in states:
+        if TileState.DROPPED in states:
             continue
         digests = one.digest(rows[0]), two.digest(rows[1])
         if digests[0] is None or digests[0] != digests[1]:
@@ -129,8 +129,7 @@ class _Side:
         self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
         self.priority = np.full(len(self.ids), np.nan)
-        columns = [tiles[name] for name in ("ra", "dec", "position_angle", "pass")]
-        self.places = np.column_stack([getattr(one, "value", one) for one in columns]).tolist()
+        self.places = places_of(tiles).tolist()
 
     def digest(self, row: int) -> str | None:
         """Return the checksum of the plan of a tile, after its file was tested; None if the survey is in memory."""
@@ -139,12 +138,9 @@ class _Side:
         check_file(self.survey.folder, part_name(row), self.survey._known)
         return self.survey._known[part_name(row)][-1][1]
 
-    def visits(self, row: int) -> QTable:
-        return self.survey._visits(row)
-
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""
-        visits = self.visits(row)
+        visits = self.survey._visits(row)
         if "priority" in visits.colnames:
             target = np.asarray(visits["target_row"])
             self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
@@ -162,7 +158,7 @@ class _Side:
         """Whether each target was dropped."""
         dropped = np.zeros(len(self.ids), dtype=bool)
         for _, table in [] if self.events is None else self.events.target_tables:
-            state = np.asarray(table[IS_DROPPED])
+            state = np.asarray(table[DROPPED])
             dropped[np.asarray(table[ROW])[state >= 0]] = state[state >= 0] == 1
         return dropped
 
@@ -175,7 +171,7 @@ def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
 
 def _fibers(name: str, one: _Side, row: int, two: _Side, other: int) -> list[np.ndarray]:
     """Return the columns of rows on the fibers of a tile that have another target."""
-    visits = one.visits(row), two.visits(other)
+    visits = one.survey._visits(row), two.survey._visits(other)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
         raise InputError("the surveys must have the same instrument, got other identifiers of positioners")

@@ -7,29 +7,44 @@ preceding file, so that missing, changed and truncated files are found. Files ar
 import hashlib
 import json
 import re
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cache, cached_property
 from pathlib import Path
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, vstack
 from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._folder import MOST_REQUEST
 from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes, sentence
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.survey._folder import EVENTS, Folder, kept_name, part_name, verified
+from rfpsurvey.survey._folder import EVENTS, MOST_FILE, Folder, kept_name, part_name, verified
+from rfpsurvey.tiling import Tiling
 
-MOST = 2**28
 VERSION = 1
 FRAME = '{{"digest": "{}", "events":\n{}\n}}\n'
 """Text of a file of events with its digest and its content, which are JSON in all."""
 FRAMED = re.compile(r'\{"digest": "([0-9a-f]{64})", "events":\n(.*)\n\}\n', re.DOTALL)
-DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED = "done", "partly", "bad", "dropped", "planned", "added"
-STATES = (DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED)
+
+
+class TileState:
+    """States of a tile that events record.
+
+    ``DONE``: the tile was observed. ``PARTLY``: its observation will be continued with the same plan. ``BAD``: the
+    observation failed. ``DROPPED``: the tile will not be observed. ``PLANNED``: this cancels what was recorded before.
+    ``ADDED``: a new tile, or a new position of a tile.
+    """
+
+    DONE, PARTLY, BAD, DROPPED, PLANNED, ADDED = ALL = ("done", "partly", "bad", "dropped", "planned", "added")
+
+
+WORDS = {TileState.DONE: "observed", TileState.PARTLY: "partly observed", TileState.BAD: "bad"}
+WORDS |= {name: name for name in (TileState.DROPPED, TileState.PLANNED)}
+"""Words for the states of tiles."""
 
 
 class TileEvent(NamedTuple):
@@ -39,9 +54,7 @@ class TileEvent(NamedTuple):
     """Row of the tile in the tiling; added tiles follow the tiles of the first plan."""
     tile: str
     state: str
-    """``done``: the tile was observed. ``partly``: its observation will be continued with the same plan. ``bad``: the
-    observation failed. ``dropped``: the tile will not be observed. ``planned``: this cancels what was recorded before.
-    ``added``: a new tile, or a new position of a tile."""
+    """One of the states of `TileState`."""
     date: str = ""
     """Date of the observation, such as 2026-01-03; empty if no date was given."""
     fraction: float = 1.0
@@ -146,6 +159,10 @@ class Events:
             )
         return content
 
+    def visits(self, event: TileEvent) -> tuple[np.ndarray, dict]:
+        """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
+        return read_fits_bytes(self.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+
     def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
         """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
         number, name = len(self.files) + 1, None
@@ -213,7 +230,7 @@ def read_request(folder: Path) -> dict:
 def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
     """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
     try:
-        found = FRAMED.fullmatch(content_of(path, most=MOST).decode("utf-8", "replace"))
+        found = FRAMED.fullmatch(content_of(path, most=MOST_FILE).decode("utf-8", "replace"))
         if not found or found[1] != _digest(found[2]):
             raise InputError("its digest differs from its content")
         if found[1] in parsed:
@@ -222,13 +239,8 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
         if about["version"] != VERSION:
             raise InputError(f"version {about['version']} of the format is not supported")
         tiles = tuple(
-            TileEvent(
-                **{
-                    **one,
-                    "failed": _by_name(one["failed"]),
-                    "stated": _by_name(one.get("stated")),
-                    "place": tuple(one["place"]),
-                }
+            TileEvent(**one | {"place": tuple(one["place"])})._replace(
+                failed=_by_name(one["failed"]), stated=_by_name(one.get("stated"))
             )
             for one in about["tiles"]
         )
@@ -253,9 +265,9 @@ def _by_reason(failed: dict[str, str] | None) -> dict[str, list[str]] | None:
 
 def _by_name(failed: dict[str, list[str]] | None) -> dict[str, str] | None:
     """Return the reason for each positioner that failed."""
-    return (
-        None if failed is None else dict(sorted((name, reason) for reason, names in failed.items() for name in names))
-    )
+    if failed is None:
+        return None
+    return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
 
 
 def _name(number: int) -> str:
@@ -291,3 +303,32 @@ def _date_of(text: str) -> str:
         return Time(text, scale="tai").isot[:10]  # without warnings of future leap seconds
     except ValueError:
         raise InputError(f"date must be a date such as 2026-01-03, got {text!r}") from None
+
+
+def places_of(tiles: QTable) -> np.ndarray:
+    """Return the right ascension, declination, position angle (deg) and pass of each tile, shape (n, 4)."""
+    angles = (tiles[name].to_value(u.deg) for name in ("ra", "dec", "position_angle"))
+    return np.column_stack([*angles, tiles["pass"]])
+
+
+def add_tiles(tiling: Tiling, added: dict[int, TileEvent], dropped: Collection[int]) -> Tiling:
+    """Return a tiling with the tiles that events added or moved; ``added`` contains the event of each row.
+
+    Another tile can have the position of a tile in one of the rows ``dropped``.
+    """
+    table, names = tiling.table.copy(), np.asarray(tiling.table["tile"])
+    for row, event in sorted(added.items()):
+        ra, dec, angle, number = event.place
+        values = {"ra": ra * u.deg, "dec": dec * u.deg, "position_angle": angle * u.deg, "pass": number}
+        if row < len(table):
+            for name, value in values.items():
+                table[name][row] = value
+            continue
+        one = table[:1].copy()
+        one.replace_column("tile", np.array([event.tile if names.dtype.kind == "U" else int(event.tile)]))
+        for name, value in values.items():
+            one[name] = value
+        table = vstack([table, one], metadata_conflicts="silent")
+    table.meta.pop("summary", None)
+    table["state"] = np.where(np.isin(np.arange(len(table)), [*dropped]), TileState.DROPPED, "")
+    return Tiling(table)

@@ -7,26 +7,39 @@ from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey import _io
-from rfpsurvey._readers import content_of, is_present, read_arrays, read_fits_bytes
+from rfpsurvey._descriptions import TARGET_ID, VISITS_COLUMNS, Column, describe
+from rfpsurvey._methods import table_of
+from rfpsurvey._readers import content_of, is_present, read_arrays
 from rfpsurvey._roles import has_role
+from rfpsurvey._units import MOST_VISITS
+from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, listed
-from rfpsurvey.survey._flags import LOST
-from rfpsurvey.survey._history._events import (
-    ADDED,
-    DONE,
-    DROPPED,
-    EVENTS,
-    PARTLY,
-    PLANNED,
-    Events,
-    TileEvent,
-)
-from rfpsurvey.survey._work import COUNTS, LOST_TO_RULES, MOTION, N_LOST
+from rfpsurvey.survey._columns import CARDS, N_LOST
+from rfpsurvey.survey._history._catalogs import column_of, is_science
+from rfpsurvey.survey._history._events import EVENTS, Events, TileEvent, TileState
+from rfpsurvey.survey._history._rule import LAST
+from rfpsurvey.survey._work import LOST_IN_COLLISION
 
+STATE = table_of(
+    TARGET_ID,
+    Column("requested", "number of requested visits"),
+    Column("observed", "number of successful visits"),
+    Column("failed", "number of failed visits"),
+    Column("left", "number of remaining visits"),
+    VISITS_COLUMNS["kind"],
+    Column("priority", "priority that the rule determines"),
+    Column("last", "result of the last visit"),
+    Column("last_tile", "tile of the last visit"),
+    Column("last_date", "date of the last visit"),
+)
+
+ARRAYS = {"made": ("u1", 0), "failed": ("u1", 0), "last": ("i4", -1), "is_good": ("?", False), "flags": ("u1", 0)}
+"""For each array of `Replay`, its data type, and the value of targets without visits."""
 CHECKPOINT = f"{EVENTS}/state.npz"
-MOST_VISITS = 255
+NUMBERS = ("n_good", "n_failed")
 
 
 class TileStates:
@@ -54,16 +67,16 @@ class TileStates:
 
         A dropped tile remains dropped after a report on an earlier observation, or on an observation until this date.
         """
-        if event.state == DROPPED:
+        if event.state == TileState.DROPPED:
             if not event.date or all(one.date <= event.date for one in self.of(event.row)):
                 self.dropped[event.row] = event.date or self._latest
             return
         is_late = event.observation in self._order or "" < event.date <= self.dropped.get(event.row, "")
-        if event.state in (ADDED, PLANNED) or not is_late:
+        if event.state in (TileState.ADDED, TileState.PLANNED) or not is_late:
             self.dropped.pop(event.row, None)
-        if event.state == ADDED:
+        if event.state == TileState.ADDED:
             self.added[event.row] = event
-        elif event.state == PLANNED:
+        elif event.state == TileState.PLANNED:
             for key in self._attempts.pop(event.row, ()):
                 del self._order[key]
         else:
@@ -81,15 +94,15 @@ class TileStates:
         """All observations, in the order of dates; those of a date, in the order in which they were recorded."""
         return [self._attempts[key[0]][key] for key in sorted(self._order, key=self._order.get)]
 
-    def state_of(self, row: int) -> TileEvent | str:
-        """Return the observation that determines the state of a tile, or ``dropped`` or ``planned``."""
+    def state_of(self, row: int) -> TileEvent:
+        """Return the observation that determines the state of a tile, or an event ``dropped`` or ``planned``."""
         found = self.of(row)
-        done = [event for event in found if event.state == DONE]
+        done = [event for event in found if event.state == TileState.DONE]
         if done:
             return done[-1]
         if row in self.dropped:
-            return DROPPED
-        return found[-1] if found and found[-1].state == PARTLY else PLANNED
+            return TileEvent(row, "", TileState.DROPPED)
+        return found[-1] if found and found[-1].state == TileState.PARTLY else TileEvent(row, "", TileState.PLANNED)
 
     def rows(self) -> list[int]:
         """Return the rows of the tiles of which anything was recorded, in ascending order."""
@@ -122,73 +135,69 @@ class Replay:
     marked_for : str
         Digest of the instrument and the options for which they are marked.
     counts : dict
-        For each observed tile, its counts by the name of the header card.
-    n_good, n_failed : dict
-        Numbers of successful and failed visits of each observed tile.
+        For each observed tile, its counts by the name of the header card, and the numbers of its successful visits
+        (``n_good``) and of its failed visits (``n_failed``).
     """
 
     def __init__(self, n_targets: int):
-        self.made, self.failed, self.flags = (np.zeros(n_targets, dtype=np.uint8) for _ in range(3))
-        self.last, self.is_good = np.full(n_targets, -1, dtype=np.int32), np.zeros(n_targets, dtype=bool)
+        self.made, self.failed, self.last, self.is_good, self.flags = (
+            np.full(n_targets, value, dtype=kind) for kind, value in ARRAYS.values()
+        )
         self.attempts: list[TileEvent] = []
         self.n_flagged, self.n_searched, self.marked_for = 0, 0, ""
         self.counts: dict[int, dict[str, int]] = {}
-        self.n_good: dict[int, int] = {}
-        self.n_failed: dict[int, int] = {}
 
     def extend(self, n_targets: int) -> None:
         """Add targets without visits, so that there are ``n_targets`` targets."""
         more = n_targets - len(self.made)
-        for name, value in {"made": 0, "failed": 0, "flags": 0, "last": -1, "is_good": False}.items():
-            values = getattr(self, name)
-            setattr(self, name, np.concatenate([values, np.full(more, value, dtype=values.dtype)]))
+        for name, (_, value) in ARRAYS.items():
+            setattr(self, name, np.pad(getattr(self, name), (0, more), constant_values=value))
 
-    def mark_for(self, digest: str) -> None:
-        """Remove the marks of targets in fields and in reach if they were made for another instrument or options."""
+    def mark_for(self, options: list) -> None:
+        """Remove the marks of targets in fields and in reach if they were made for other options.
+
+        ``options`` are the digest of the instrument and the parameters of the survey.
+        """
+        digest = hashlib.sha256(json.dumps(options, default=str, sort_keys=True).encode()).hexdigest()
         if self.marked_for != digest:
-            self.flags &= LOST
+            self.flags &= LOST_IN_COLLISION
             self.n_flagged, self.n_searched, self.marked_for = 0, 0, digest
 
     def add(self, event: TileEvent, events: Events, ids: np.ndarray) -> None:
         """Add an observation, and the visits of its plan."""
-        number, content = len(self.attempts), events.plan(event.row, event.plan)
+        number = len(self.attempts)
         self.attempts.append(event)
-        if event.state != DONE:  # nothing was observed, or the observation will be continued
+        if event.state != TileState.DONE:  # nothing was observed, or the observation will be continued
+            events.plan(event.row, event.plan)  # raises an error if the plan is missing
             return
-        visits, cards = read_fits_bytes(content, f"the plan of tile {event.tile}")
+        visits, cards = events.visits(event)
         _check_ids(event, visits, ids)
         target, good, lost = visits_of(event, visits)
         self.made[target[good]] += self.made[target[good]] < MOST_VISITS
         bad = target[~good & ~lost]
         self.failed[bad] += self.failed[bad] < MOST_VISITS
-        self.flags[target[lost]] |= LOST
+        self.flags[target[lost]] |= LOST_IN_COLLISION
         self.last[target[~lost]] = number
         self.is_good[target[~lost]] = good[~lost]
-        if event.state == DONE:
-            self.counts[event.row] = {
-                name: value
-                for name, value in cards.items()
-                if name in {**COUNTS, **MOTION, **LOST_TO_RULES} or name.startswith(("MISS", "MORE", "VIOL", "NOTC"))
-            }
-            # files of earlier versions do not contain this number
-            self.counts[event.row].setdefault(N_LOST, int(visits["in_collision"].sum()))
-            self.n_good[event.row], self.n_failed[event.row] = int(good.sum()), len(bad)
+        counted = {k: n for k, n in cards.items() if k in CARDS or k.startswith(("MISS", "MORE", "VIOL", "NOTC"))}
+        # files of earlier versions do not contain this number
+        counted = {N_LOST: int(visits["in_collision"].sum()), **counted}
+        self.counts[event.row] = counted | {"n_good": int(good.sum()), "n_failed": len(bad)}
 
     def write(self, folder: Path) -> None:
         """Write a checkpoint, from which `replay` continues."""
         rows = list(self.counts)
-        names = sorted({name for one in self.counts.values() for name in one})
+        names = sorted({name for one in self.counts.values() for name in one} - {*NUMBERS})
         content = io.BytesIO()
         arrays = {
             "keys": np.array([_key(one) for one in self.attempts], dtype="S64"),
-            **{name: getattr(self, name) for name in ("made", "failed", "last", "is_good", "flags")},
+            **{name: getattr(self, name) for name in ARRAYS},
             "n_flagged": np.array([self.n_flagged, self.n_searched]),
             "marked_for": np.array([self.marked_for], dtype="S64"),
             "names": np.array(names, dtype="S24"),
             "rows": np.array(rows, dtype=np.int64),
             "counts": np.array([[self.counts[row].get(name, 0) for name in names] for row in rows], dtype=np.int64),
-            "n_good": np.array([self.n_good[row] for row in rows], dtype=np.int64),
-            "n_failed": np.array([self.n_failed[row] for row in rows], dtype=np.int64),
+            **{name: np.array([self.counts[row][name] for row in rows], dtype=np.int64) for name in NUMBERS},
         }
         arrays["counts"] = arrays["counts"].reshape(len(rows), len(names))
         np.savez(content, **arrays)
@@ -231,7 +240,7 @@ def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndar
     if "kind" in visits.dtype.names:
         visits = visits[has_role(visits["kind"], "science")]
     observed = visits["observed"].astype(bool)
-    good = observed & (event.state == DONE)
+    good = observed & (event.state == TileState.DONE)
     if event.failed:
         good &= ~np.isin(visits["positioner"], np.array(list(event.failed)).astype(visits["positioner"].dtype))
     return visits["target_row"].astype(np.int64), good, ~observed
@@ -254,13 +263,11 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
     n = (None,)
     expected = {
         "keys": ("S64", n),
-        **dict.fromkeys(("made", "failed", "flags"), ("u1", n)),
-        "last": ("i4", n),
-        "is_good": ("?", n),
+        **{name: (kind, n) for name, (kind, _) in ARRAYS.items()},
         "n_flagged": ("i8", (2,)),
         "marked_for": ("S64", (1,)),
         "names": ("S24", n),
-        **dict.fromkeys(("rows", "n_good", "n_failed"), ("i8", n)),
+        **dict.fromkeys(("rows", *NUMBERS), ("i8", n)),
         "counts": ("i8", (None, None)),
     }
     try:
@@ -272,13 +279,37 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
     if is_earlier or size > n_targets or keys != [_key(one) for one in attempts[: len(keys)]]:
         return None
     found = Replay(0)
-    for name in ("made", "failed", "flags", "last", "is_good"):
+    for name in ARRAYS:
         setattr(found, name, stored[name])
     found.attempts, (found.n_flagged, found.n_searched) = attempts[: len(keys)], stored["n_flagged"].tolist()
     found.marked_for = stored["marked_for"].tolist()[0].decode()
-    names, rows = [name.decode() for name in stored["names"].tolist()], stored["rows"].tolist()
-    for row, counts in zip(rows, stored["counts"].tolist(), strict=True):
-        found.counts[row] = dict(zip(names, counts, strict=True))
-    found.n_good = dict(zip(rows, stored["n_good"].tolist(), strict=True))
-    found.n_failed = dict(zip(rows, stored["n_failed"].tolist(), strict=True))
+    names = [*(name.decode() for name in stored["names"].tolist()), *NUMBERS]
+    counts = np.column_stack([stored["counts"], *(stored[name] for name in NUMBERS)])
+    for row, own in zip(stored["rows"].tolist(), counts.tolist(), strict=True):
+        found.counts[row] = dict(zip(names, own, strict=True))
     return found
+
+
+def state_table(state) -> QTable:
+    """Return the table of a `SurveyState`; see `SurveyState.table`."""
+    own, n, catalog = state.replayed, len(state.observed), state.catalog
+    table = QTable({"target_id": column_of(catalog, "id")}, copy=False)
+    counts = is_science(catalog)
+    for name in ("requested", "observed", "failed", "left"):
+        table[name] = np.where(counts, getattr(state, name), np.uint8(0))
+    for name in ("kind", "priority") if isinstance(catalog, Catalog) else ("kind",):
+        if (values := column_of(catalog, name)) is not None:
+            table[name] = values
+    table["last"] = np.array(LAST)[last_results(own)]
+    for name, values in (
+        ("last_tile", [one.tile for one in own.attempts]),
+        ("last_date", [one.date for one in own.attempts]),
+    ):
+        table[name] = np.array([*values, ""])[own.last] if n else np.array([], dtype=str)
+    table.meta["events"] = state.record
+    return describe(table, STATE)
+
+
+def last_results(own: Replay) -> np.ndarray:
+    """Return the result of the last visit of each target as an index of ``LAST``."""
+    return np.where(own.last < 0, 0, np.where(own.is_good, LAST.index("good"), LAST.index("bad")))

@@ -9,24 +9,24 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey import _io
-from rfpsurvey._plugins import find_function
-from rfpsurvey._units import exact_text, to_dimensionless, to_numbers, to_plain, to_visits
-from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, listed, refusal
+from rfpsurvey._plugins import find_function, name_of, recorded_name
+from rfpsurvey._settings import Settings, option
+from rfpsurvey._units import MOST_VISITS, exact_text, to_dimensionless, to_numbers, to_plain, to_visits
+from rfpsurvey.errors import InputError, check_choice, check_keywords, listed
 
 GROUP = "rfpsurvey.visit_rules"
 """Name of the entry points of packages with visit rules."""
 ANY = "any"
 LAST = ("none", "good", "bad")
 """Results of the last visit of a target."""
-MOST = 255
 COLUMNS = ("class", "observed", "last", "priority", "visits")
 # Number of targets with which the end of a rule is checked.
 PROBED = 1000
 
 
 @check_keywords
-@dataclass(frozen=True)
-class VisitRule:
+@dataclass(frozen=True, eq=False, repr=False)
+class VisitRule(Settings):
     """A rule that determines how often a target is observed, and with which priority, from its visits so far.
 
     Without a rule, each target is observed until the visits that the catalog requests are successful. The parameters
@@ -59,6 +59,11 @@ class VisitRule:
     InputError
         If a number is out of range, if a column of the table is missing, or if the rule requests more than 255 visits.
 
+    Notes
+    -----
+    The attribute ``record`` contains the rows of ``table``, and only the name of ``function``. ``from_record`` raises
+    an error if this is not the name of an entry point.
+
     Examples
     --------
     >>> import rfpsurvey as rs
@@ -67,30 +72,36 @@ class VisitRule:
     4
     """
 
-    visits: int | None = None
-    after_success: int | None = None
-    table: Table | str | os.PathLike | None = None
-    function: str | Callable | None = None
-    retries: int | None = None
+    visits: int | None = option(None, low=0, high=MOST_VISITS, sparse=True)
+    after_success: int | None = option(None, low=1, high=MOST_VISITS, sparse=True)
+    table: Table | str | os.PathLike | None = option(
+        None,
+        words="a table or the path of a table",
+        to_record="_recorded_rows",
+        from_record=lambda rows: _table_of(rows),
+        by_record=True,
+        sparse=True,
+    )
+    function: str | Callable | None = option(
+        None,
+        words="a function or its name",
+        to_record=name_of,
+        from_record=lambda name: recorded_name(GROUP, (), name, "function"),
+        sparse=True,
+    )
+    retries: int | None = option(None, low=0, high=MOST_VISITS, sparse=True)
 
-    def __post_init__(self):
-        for name, low in (("visits", 0), ("after_success", 1), ("retries", 0)):
-            if getattr(self, name) is not None:
-                check_whole(getattr(self, name), name, low, MOST)
-        if not isinstance(self.table, Table | str | os.PathLike | None):
-            raise refusal("table must be a table or the path of a table", self.table)
+    _order = ("visits", "after_success", "retries")
+
+    def _check(self):
         if self.function is not None:
-            _ = self._function
+            _ = self._function  # raises an error if there is no such function
         if self.table is not None:
-            _ = self._rows
+            _ = self._rows  # raises an error if the table is not valid
 
-    @property
-    def record(self) -> dict:
-        """The rule as text and numbers, as it is written to files."""
-        found = {name: getattr(self, name) for name in ("visits", "after_success", "retries")}
-        found["table"] = None if self.table is None else [list(map(_plain, row)) for row in self._rows]
-        found["function"] = None if self.function is None else self._function.name
-        return {name: value for name, value in found.items() if value is not None}
+    @cached_property
+    def _recorded_rows(self) -> list:
+        return [[None if value != value else value for value in row] for row in self._rows]  # JSON has no NaN
 
     def apply(self, columns: dict) -> tuple[np.ndarray, np.ndarray | None]:
         """Return the requested numbers of visits and the priorities.
@@ -119,7 +130,7 @@ class VisitRule:
         if self.function is not None:
             visits, priority = self._by_function(columns, visits, priority)
             probed = {k: v[:PROBED] if isinstance(v, np.ndarray) else v for k, v in columns.items()}
-            probed["observed"] = np.full(len(probed["observed"]), MOST)
+            probed["observed"] = np.full(len(probed["observed"]), MOST_VISITS)
             self._by_function(probed, visits[:PROBED], priority if priority is None else priority[:PROBED])
         if self.retries is not None:
             visits = np.where(columns["failed"] > self.retries, np.minimum(visits, columns["observed"]), visits)
@@ -144,10 +155,10 @@ class VisitRule:
             numbers[name] = to_numbers(table[name], f"{name} of a visit rule", unitless=True)
         observed, priority, visits = (numbers[name] for name in ("observed", "priority", "visits"))
         observed = np.where(np.isnan(observed), -1, observed)
-        wrong = observed[~((observed >= -1) & (observed <= MOST) & (observed == np.floor(observed)))]
+        wrong = observed[~((observed >= -1) & (observed <= MOST_VISITS) & (observed == np.floor(observed)))]
         if wrong.size:
             raise InputError(
-                f"observed of a visit rule must be whole numbers from 0 to {MOST}, or -1, got {wrong[0]:g}"
+                f"observed of a visit rule must be whole numbers from 0 to {MOST_VISITS}, or -1, got {wrong[0]:g}"
             )
         if np.isinf(priority).any():
             raise InputError("priority of a visit rule must be finite, got inf")
@@ -191,9 +202,9 @@ class VisitRule:
                     "it must return a dict or a table with the columns visits or priority, got another result"
                 )
             if "visits" in names:
-                if np.max(found["visits"], initial=0) > MOST:
-                    observed = int(np.min(columns["observed"], initial=MOST))
-                    end = "must end" if observed == MOST else f"must request at most {MOST} visits"
+                if np.max(found["visits"], initial=0) > MOST_VISITS:
+                    observed = int(np.min(columns["observed"], initial=MOST_VISITS))
+                    end = "must end" if observed == MOST_VISITS else f"must request at most {MOST_VISITS} visits"
                     raise InputError(
                         f"it {end}, got {np.max(found['visits']):g} requested visits of a target that was observed "
                         f"{observed} times"
@@ -227,6 +238,10 @@ def _words(table: Table, name: str) -> list[str]:
     return [ANY if text in ("", "nan") else text for text in texts]
 
 
-def _plain(value: object) -> object:
-    """Return None for NaN, which JSON cannot represent."""
-    return None if value != value else value
+def _table_of(rows: list) -> Table:
+    """Return the table of a rule for the rows in a record."""
+    columns = {"class": np.array([], dtype=str), "priority": [], "visits": []}
+    if rows:
+        columns = dict(zip(COLUMNS, zip(*rows, strict=True), strict=True))
+    numbers = {name: np.array(columns[name], dtype=float) for name in ("priority", "visits")}
+    return Table(columns | numbers)

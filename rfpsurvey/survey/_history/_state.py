@@ -22,20 +22,17 @@ from rfpsurvey.survey._history._catalogs import (
     is_science,
 )
 from rfpsurvey.survey._history._events import (
-    DONE,
-    DROPPED,
-    PARTLY,
     Events,
     TileEvent,
+    TileState,
+    add_tiles,
     read_events,
     read_request,
     to_date,
 )
-from rfpsurvey.survey._history._replay import Replay, TileStates, replay
+from rfpsurvey.survey._history._replay import Replay, TileStates, last_results, replay, state_table
 from rfpsurvey.survey._history._rule import VisitRule
-from rfpsurvey.survey._history._state_table import last_results, state_table
 from rfpsurvey.survey._history._targets import apply_changes
-from rfpsurvey.survey._history._tiles import add_tiles
 from rfpsurvey.tiling import Tiling
 
 
@@ -132,14 +129,14 @@ class SurveyState:
         if not isinstance(rule, VisitRule):
             raise refusal("rule must be a VisitRule", rule)
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-        if "cadences" in read_request(_io.to_path(folder)):
+        request = read_request(_io.to_path(folder))
+        if "cadences" in request:
             raise InputError(f"{folder} holds a survey with cadences, which cannot be continued from what was observed")
         if visits is None and not rule.record:
-            _check_visits(_io.to_path(folder), catalog)
-        check_first_catalog(_io.to_path(folder), catalog, visits, rule)
+            _check_visits(request, catalog)
+        check_first_catalog(request, catalog, visits, rule)
         until = None if until is None else to_date(until)
-        required = read_request(_io.to_path(folder)).get("required_ids")
-        return cls._of(read_events(_io.to_path(folder)), (catalog, visits, required), rule, until)
+        return cls._of(read_events(_io.to_path(folder)), (catalog, visits, request.get("required_ids")), rule, until)
 
     @classmethod
     def _of(cls, events: Events, given: tuple, rule: VisitRule, until: str | None, *, visited: bool = True):
@@ -192,15 +189,13 @@ class SurveyState:
     @cached_property
     def closed(self) -> dict[int, TileEvent | None]:
         """Rows of the tiles that are not planned, with the observation of each observed tile, and None if dropped."""
-        found = {row: self.states.state_of(row) for row in self.states.rows()}
-        done = {row: one for row, one in found.items() if isinstance(one, TileEvent) and one.state == DONE}
-        return done | {row: None for row, one in found.items() if one == DROPPED}
+        found, done = map(self.states.state_of, self.states.rows()), TileState.DONE
+        return {one.row: one if one.state == done else None for one in found if one.state in (done, TileState.DROPPED)}
 
     @cached_property
     def begun(self) -> dict[int, TileEvent]:
         """Rows of the tiles that were partly observed, and keep their plans, with the observation of each tile."""
-        found = {row: self.states.state_of(row) for row in self.states.rows()}
-        return {row: one for row, one in found.items() if isinstance(one, TileEvent) and one.state == PARTLY}
+        return {one.row: one for one in map(self.states.state_of, self.states.rows()) if one.state == TileState.PARTLY}
 
     @property
     def kept(self) -> dict[int, TileEvent]:
@@ -221,7 +216,7 @@ class SurveyState:
                 made.setdefault(event.observation, file.n_applied)
         found = {}
         for row, event in self.kept.items():  # a tile keeps the plan with which its observation began
-            others = [one for one in self.states.of(row) if (one.state, one.plan) == (PARTLY, event.plan)]
+            others = [one for one in self.states.of(row) if (one.state, one.plan) == (TileState.PARTLY, event.plan)]
             found[row] = min(made[one.observation] for one in (event, *others))
         return found
 
@@ -372,9 +367,8 @@ class SurveyState:
         )
 
 
-def _check_visits(folder: Path, catalog: Catalog | PartitionedCatalog) -> None:
+def _check_visits(request: dict, catalog: Catalog | PartitionedCatalog) -> None:
     """Issue a warning if the first plan requested another number of visits than the catalog."""
-    request = read_request(folder)
     targets, said = (
         str(request.get("first", request).get(name, "")).partition(",")[0] for name in ("catalog", "visits")
     )

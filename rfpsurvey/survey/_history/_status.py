@@ -5,34 +5,54 @@ import json
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey._descriptions import Column, Fact, describe, facts_of
+from rfpsurvey._methods import table_of
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, refusal
-from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
+from rfpsurvey.pipeline import Outcome
+from rfpsurvey.survey._bookkeeping import classes_by_column, rows_by_class
 from rfpsurvey.survey._history._catalogs import columns_of, is_science
-from rfpsurvey.survey._history._events import BAD, DONE, PARTLY
+from rfpsurvey.survey._history._events import WORDS, TileState, places_of
 from rfpsurvey.survey._history._replay import visits_of
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tile import describe
 
-STATUS = {
-    "priority": "priority of the targets, or all",
-    "category": "category of the targets, or all",
-    "n_targets": "number of targets with requested visits",
-    "n_complete": "number of these targets with all requested visits",
-    "n_requested": "number of requested visits",
-    "n_observed": "number of successful visits",
-    "n_failed": "number of failed visits",
-    "n_left": "number of remaining visits, which are divided into those of the next columns",
-    "n_planned": "remaining visits of tiles that will be observed",
-    "n_not_assigned": "remaining visits without a fiber, of targets that a tile reaches",
-    "n_lost": "remaining visits of targets that were lost to a collision",
-    "n_impossible": "remaining visits of targets that no tile can observe",
-}
+STATUS = table_of(
+    Column("priority", "priority of the targets, or all"),
+    Column("category", "category of the targets, or all"),
+    Column("n_targets", "number of targets with requested visits"),
+    Column("n_complete", "number of these targets with all requested visits"),
+    Column("n_requested", "number of requested visits"),
+    Column("n_observed", "number of successful visits"),
+    Column("n_failed", "number of failed visits"),
+    Column("n_left", "number of remaining visits, which are divided into those of the next columns"),
+    Column("n_planned", "remaining visits of tiles that will be observed"),
+    Column("n_not_assigned", "remaining visits without a fiber, of targets that a tile reaches"),
+    Column("n_lost", "remaining visits of targets that were lost to a collision"),
+    Column("n_impossible", "remaining visits of targets that no tile can observe"),
+)
 SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
 """Sizes of areas on the sky in degrees, and their largest number."""
-COUNTS = tuple(name for name in STATUS if name.startswith("n_"))
+STATUS_FACTS = (
+    Fact("tiles", "tiles", zero=True),
+    Fact("observed", "finished", "tiles", zero=True),
+    Fact("partly observed", "partly observed", "tiles", zero=True),
+    Fact("bad", "observed without success", "tiles", zero=True),
+    Fact("dropped", "dropped", "tiles", zero=True),
+    Fact("planned", "not yet observed", "tiles", zero=True),
+    Fact("dates", "first and last date"),
+    Fact("n_targets", "targets with requested visits", zero=True),
+    Fact("n_complete", "complete", "n_targets", zero=True),
+    Fact("n_requested", "visits requested", zero=True),
+    Fact("n_observed", "observed", "n_requested", zero=True),
+    Fact("n_left", "remaining", "n_requested", zero=True),
+    Fact("n_planned", "planned", "n_left", zero=True),
+    Fact("n_not_assigned", "in reach, not assigned", "n_left", zero=True),
+    Fact("n_lost", "lost to a collision", "n_left", zero=True),
+    Fact("n_impossible", "out of reach or excluded", "n_left", zero=True),
+    Fact("n_failed", "failed visits", zero=True),
+)
+"""The numbers of the status of a survey that are shown; those of tiles are sums over the passes."""
 
 
 def survey_status(survey: Survey, state: SurveyState) -> QTable:
@@ -84,10 +104,13 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     columns = columns_of(state.catalog, None)
     wanted = state.requested * is_science(state.catalog).astype(np.int64)
     observed = np.minimum(state.observed, wanted)
-    is_planned = json.loads(json.dumps(state.record)) == survey.provenance.get("events", _none(state))
+    record = json.loads(json.dumps(state.record))  # a survey without events lacks the record of its state
+    is_planned = record == survey.provenance.get("events", None if state.events.files else record)
     left = wanted - observed
     planned = np.minimum(_planned(survey, state, is_planned=is_planned), left)
-    rest, code = left - planned, _codes(survey, len(state))
+    rest, n_added = left - planned, len(state) - len(survey.outcomes)
+    # targets that were added after the last plan are not assigned
+    code = np.pad(survey.outcomes["outcome"], (0, n_added), constant_values=Outcome.IN_REACH_NOT_ASSIGNED)
     impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH, Outcome.EXCLUDED_BY_A_CONSTRAINT))
     lost = code == Outcome.LOST_TO_A_COLLISION
     values = {
@@ -102,11 +125,11 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "n_lost": rest * lost,
         "n_impossible": rest * impossible,
     }
-    classes = {"priority": priority_classes(columns["priority"], wanted)}
-    categories = category_classes(columns["category"], wanted)
-    if len(categories[1]) > 1:
-        classes["category"] = categories
-    table = _table(classes, values)
+    classes, counts = classes_by_column(columns["priority"], columns["category"], wanted), {}
+    for column, (class_of, names) in classes.items():
+        numbers = [np.bincount(class_of, weights=one, minlength=len(names)) for one in values.values()]
+        counts[column] = names, np.column_stack(numbers).astype(np.int64)
+    table = QTable(rows=rows_by_class(counts), names=(*classes, *values))
     progress = _progress(state, *classes["priority"])
     table.meta = {
         "made_by": "survey_status",
@@ -120,51 +143,29 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     return describe(table, STATUS)
 
 
-def _none(state: SurveyState) -> dict | None:
-    """Return the record of a state without events, which a survey without events lacks."""
-    return None if state.events.files else json.loads(json.dumps(state.record))
-
-
-def _codes(survey: Survey, n: int) -> np.ndarray:
-    """Return the outcome of each target; targets that were added after the last plan are not assigned."""
-    code = np.asarray(survey.outcomes["outcome"])
-    return np.concatenate([code, np.full(n - len(code), Outcome.IN_REACH_NOT_ASSIGNED, dtype=code.dtype)])
+def status_facts(status: QTable) -> dict:
+    """Return the labels and values of the status of a survey."""
+    values = {name: int(status[name][0]) for name in status.colnames if name.startswith("n_")}
+    tiles = {name: sum(row[name] for row in status.meta["tiles"]) for name in WORDS.values()}
+    dates = [date for date in status.meta["progress"]["date"] if date]
+    first_and_last = f"{dates[0]} {dates[-1]}" if dates else None
+    return facts_of(STATUS_FACTS, {**values, **tiles, "tiles": sum(tiles.values()), "dates": first_and_last})
 
 
 def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:
     """Return the number of visits of each target in the tiles that will be observed."""
-    planned = np.zeros(len(state), dtype=np.int64)
     if is_planned:
         own = np.asarray(survey.outcomes["observed"]).astype(np.int64)
-        planned[: len(own)] = np.maximum(own - state.observed[: len(own)], 0)
-        return planned
+        return np.maximum(np.pad(own, (0, len(state) - len(own))) - state.observed, 0)
+    planned = np.zeros(len(state), dtype=np.int64)
+    places, added = places_of(survey.tiles), state.states.added
     for row in range(len(survey)):
-        if row not in state.closed and not _is_moved(survey, state, row):
+        has_plan = row not in added or np.array_equal(places[row], added[row].place)
+        if row not in state.closed and has_plan:  # otherwise, the tile has no plan for its present position
             visits = survey._visits(row)
             target = np.asarray(visits["target_row"])[np.asarray(visits["observed"])]
             planned += np.bincount(target[target >= 0], minlength=len(state))
     return planned
-
-
-def _is_moved(survey: Survey, state: SurveyState, row: int) -> bool:
-    """Return whether a tile has no plan for its present position."""
-    if row not in state.states.added:
-        return False
-    one = survey.tiles[row]
-    place = [getattr(one[name], "value", one[name]) for name in ("ra", "dec", "position_angle", "pass")]
-    return not np.array_equal(place, state.states.added[row].place)
-
-
-def _table(classes: dict, values: dict) -> QTable:
-    """Return the table with a row for all targets, and a row for each class."""
-    rows = [(*["all"] * len(classes), *(int(one.sum()) for one in values.values()))]
-    for column, (class_of, names) in classes.items():
-        if len(names) < 2:
-            continue
-        counts = [np.bincount(class_of, weights=one, minlength=len(names)).astype(np.int64) for one in values.values()]
-        for k, name in enumerate(names):
-            rows.append((*(name if column == other else "all" for other in classes), *(int(one[k]) for one in counts)))
-    return QTable(rows=rows, names=(*classes, *values))
 
 
 def _areas(catalog, values: dict) -> list[dict]:
@@ -196,27 +197,19 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     number |= {row: event.place[3] for row, event in state.states.added.items()}
     found: dict[int, dict] = {}
     for row, one in number.items():
-        words = found.setdefault(one, {"pass": one, **dict.fromkeys((*_WORDS.values(), "dropped", "planned"), 0)})
-        kept = state.closed.get(row, state.begun.get(row))
-        attempts = state.states.of(row) if kept is None else [kept]
-        if row in state.closed and kept is None:
-            words["dropped"] += 1
-        else:
-            words[_WORDS[attempts[-1].state] if attempts else "planned"] += 1
+        words = found.setdefault(one, {"pass": one, **dict.fromkeys(WORDS.values(), 0)})
+        last, is_bad = state.states.state_of(row).state, bool(state.states.of(row))
+        words["bad" if last == TileState.PLANNED and is_bad else WORDS[last]] += 1
     return [found[one] for one in sorted(found)]
-
-
-_WORDS = {DONE: "observed", PARTLY: "partly observed", BAD: "bad"}
 
 
 def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:
     """Return the numbers of observed tiles, and of visits by priority, up to each date."""
-    done = sorted((event for event in state.attempts if event.state == DONE), key=lambda event: event.date)
+    done = sorted((event for event in state.attempts if event.state == TileState.DONE), key=lambda event: event.date)
     dates = list(dict.fromkeys(event.date for event in done))
     tiles, visits = np.zeros(len(dates), dtype=np.int64), np.zeros((len(dates), len(names)), dtype=np.int64)
     for event in done:
-        content, _ = read_fits_bytes(state.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")
-        target, good, _ = visits_of(event, content)
+        target, good, _ = visits_of(event, state.events.visits(event)[0])
         tiles[dates.index(event.date)] += 1
         visits[dates.index(event.date)] += np.bincount(class_of[target[good]], minlength=len(names))
     visits = visits.cumsum(axis=0)

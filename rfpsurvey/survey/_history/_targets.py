@@ -1,7 +1,6 @@
 """Targets that events add, drop or change."""
 
 from dataclasses import replace
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -9,6 +8,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 
+from rfpsurvey._descriptions import VISITS_COLUMNS
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._roles import to_kinds
 from rfpsurvey._units import to_flags, to_labels, to_plain, to_vectors, to_visits
@@ -16,7 +16,6 @@ from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, listed, number_of, warn
 from rfpsurvey.pipeline import PLANNED_COLUMNS
 from rfpsurvey.survey._history._events import Events, to_date
-from rfpsurvey.survey._work import VISITS
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
 IS_ADDED = 2
@@ -29,14 +28,6 @@ DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.ui
 MISSING = {"f": np.nan, "U": "", "b": False}
 # Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
 TOLERANCE_RAD = 5e-9
-
-
-class ChangedTargets(NamedTuple):
-    """The catalog of a survey after the recorded changes; the rows of the first catalog remain the same."""
-
-    catalog: Catalog
-    dropped: np.ndarray
-    """Whether each target was dropped."""
 
 
 def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
@@ -162,9 +153,8 @@ def _kinds_of(survey) -> dict[str, str]:
     if "target_columns" in survey.provenance:
         return survey.provenance["target_columns"]
     visits = next(iter(survey), QTable())  # earlier versions did not write the columns
-    return {
-        name: visits[name].dtype.kind for name in visits.colnames if name not in {*VISITS, "tile"} - {*PLANNED_COLUMNS}
-    }
+    reserved = {*VISITS_COLUMNS, "tile"} - {*PLANNED_COLUMNS}
+    return {name: visits[name].dtype.kind for name in visits.colnames if name not in reserved}
 
 
 def _further(column, name: str, kind: str, unit: str | None) -> np.ndarray:
@@ -184,9 +174,10 @@ def _further(column, name: str, kind: str, unit: str | None) -> np.ndarray:
 
 def apply_changes(
     catalog: Catalog, tables: list[tuple[int, QTable]], until: str | None = None, visits: int = 1
-) -> ChangedTargets:
-    """Return the catalog after the recorded changes up to a date; targets that were added later are dropped.
+) -> tuple[Catalog, np.ndarray]:
+    """Return the catalog after the recorded changes up to a date, and whether each target was dropped.
 
+    The rows of the first catalog remain the same. Targets that were added later than this date are dropped.
     ``visits`` is the requested number of visits of added targets for which no number is recorded.
     """
     first = tables[0][0]
@@ -225,7 +216,7 @@ def apply_changes(
     catalog = replace(catalog, numbered=False, **changed) if changed else catalog
     state = np.asarray(changes[DROPPED])
     dropped[rows[state >= 0]] = state[state >= 0] == 1
-    return ChangedTargets(catalog, dropped)
+    return catalog, dropped
 
 
 def _stacked(tables: list[QTable]) -> QTable:
@@ -314,14 +305,18 @@ def to_numbers(column, name: str, unit: u.UnitBase | None = None) -> np.ndarray:
         raise InputError(f"{name} must have the unit {unit or 'of a plain number'}, got {own}") from None
 
 
+def flag_codes(column, name: str) -> np.ndarray:
+    """Return 1 for true, 0 for false, and -1 for missing values of a column."""
+    missing = np.ma.getmaskarray(np.ma.asarray(column))
+    if np.asarray(column).dtype.kind == "f":
+        missing = missing | np.isnan(np.asarray(column))
+    return np.where(missing, -1, to_flags(column, name)).astype(np.int16)
+
+
 def _dropped(table: Table, lower: dict) -> np.ndarray:
     """Return 1 for dropped targets, 0 for targets that are observed again, 2 for added ones, and -1 for others."""
     if "dropped" in lower:
-        column = table[lower["dropped"]]
-        missing = np.ma.getmaskarray(np.ma.asarray(column))
-        if np.asarray(column).dtype.kind == "f":
-            missing = missing | np.isnan(np.asarray(column))
-        return np.where(missing, -1, to_flags(column, "dropped")).astype(np.int16)
+        return flag_codes(table[lower["dropped"]], "dropped")
     if "state" not in lower:
         return np.full(len(table), -1, dtype=np.int16)
     words = np.ma.filled(np.ma.asarray(table[lower["state"]]).astype(str), "").tolist()

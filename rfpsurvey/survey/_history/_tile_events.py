@@ -3,7 +3,6 @@
 import re
 from pathlib import Path
 
-import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
@@ -14,17 +13,7 @@ from rfpsurvey._units import to_labels
 from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
 from rfpsurvey.survey._folder import part_name, plan_dates
 from rfpsurvey.survey._history._columns import columns_of, groups_of
-from rfpsurvey.survey._history._events import (
-    ADDED,
-    BAD,
-    DONE,
-    DROPPED,
-    PARTLY,
-    PLANNED,
-    Events,
-    TileEvent,
-    read_request,
-)
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of, read_request
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import to_numbers
 from rfpsurvey.survey._work import plan_digest
@@ -39,7 +28,7 @@ class History:
 
     def __init__(self, survey, folder: Path, events: Events):
         self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
-        self._names = np.asarray(survey.tiles["tile"]).astype(str).tolist()
+        self._names, self._places = np.asarray(survey.tiles["tile"]).astype(str).tolist(), places_of(survey.tiles)
         self.row_of = {name: row for row, name in enumerate(self._names)}
         for row, event in self.states.added.items():
             self.row_of.setdefault(event.tile, row)
@@ -60,7 +49,7 @@ class History:
         self.past: dict[int, list[TileEvent]] = {}
         """The events of each tile since the last one that canceled its events."""
         for event in events.of_tiles():
-            if event.state == PLANNED:
+            if event.state == TileState.PLANNED:
                 self.past.pop(event.row, None)
             self.past.setdefault(event.row, []).append(event)
 
@@ -77,14 +66,10 @@ class History:
         visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
         return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
 
-    def visits(self, event: TileEvent) -> np.ndarray:
-        """Return the visits of the plan with which a tile was observed."""
-        return read_fits_bytes(self.events.plan(event.row, event.plan), f"the plan of tile {event.tile}")[0]
-
     def plan(self, row: int) -> str | None:
         """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
         entries = self._known.get(part_name(row))
-        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._planned_place(row))
+        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._places[row])
         return entries[-1][1] if is_planned else None
 
     def plan_date(self, row: int, plan: str) -> str:
@@ -92,9 +77,14 @@ class History:
         checksum, date = self._dates.get(part_name(row), ("", ""))
         return date if checksum == plan else self._planned
 
-    def named_plan(self, row: int, name: str, digest: str) -> str:
-        """Return the checksum of the plan of a tile with the digest that a table gives, or raise an error."""
-        plans = dict.fromkeys(one for one in (self.plan(row), *(old for k, old in self.used_plans if k == row)) if one)
+    def named_plan(self, row: int, name: str, date: str, digest: str) -> str:
+        """Return the checksum of the plan of a tile with the digest that a table gives, or raise an error.
+
+        Several plans can have this digest; that of the recorded observation of the date has precedence.
+        """
+        recorded = [one.plan for one in self.states.of(row) if date and one.date == date]
+        used = sorted(plan for k, plan in self.used_plans if k == row)
+        plans = dict.fromkeys(plan for plan in (*recorded, self.plan(row), *used) if plan)
         for plan in plans:
             visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
             if digest in (plan, plan_digest(name, visits["positioner"], visits["target_id"])):
@@ -106,11 +96,7 @@ class History:
 
     def place(self, row: int) -> np.ndarray:
         """Return the right ascension, declination, position angle (deg) and pass of a tile."""
-        return np.array(self.states.added[row].place) if row in self.states.added else self._planned_place(row)
-
-    def _planned_place(self, row: int) -> np.ndarray:
-        one = self.survey.tiles[row]
-        return np.array([one[name].to_value(u.deg) for name in ("ra", "dec", "position_angle")] + [one["pass"]])
+        return np.array(self.states.added[row].place) if row in self.states.added else self._places[row]
 
 
 def tile_events(
@@ -131,7 +117,7 @@ def tile_events(
     def order(group: tuple[str, str]) -> tuple:
         """Return a key for sorting: observations of a night have the order of the table, other events that of tiles."""
         words = [] if columns["state"] is None else [columns["state"][k] for k in groups[group]]
-        is_observed = not {ADDED, DROPPED, PLANNED} & {*words}
+        is_observed = not {TileState.ADDED, TileState.DROPPED, TileState.PLANNED} & {*words}
         return group[1], is_observed, (min(groups[group]),) if is_observed else place[group[0]]
 
     for name, date in sorted(groups, key=order):
@@ -142,7 +128,8 @@ def tile_events(
         state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, has_states=has_states)
         if not state:
             if len(rows) > len(whole):
-                _event(DONE, name, date, fraction, history, ())  # raises an error if this date is not possible
+                # raises an error if this date is not possible
+                _event(TileState.DONE, name, date, fraction, history, ())
                 raise InputError(
                     f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
                     f"{'no state' if whole else 'only rows of visits'}"
@@ -151,7 +138,7 @@ def tile_events(
             continue
         named = {name: {columns[name][k] for k in rows if columns[name]} - {""} for name in ("plan", "target")}
         event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
-        if state in (DONE, PARTLY, BAD):
+        if state in (TileState.DONE, TileState.PARTLY, TileState.BAD):
             is_repeated = any(one.date == date for one in history.of(name))
             event = event._replace(has_state=bool(whole) or not is_repeated)
             event = _with_failures(columns, [k for k in rows if k not in whole], event, history)
@@ -187,8 +174,8 @@ def _state_of(
             )
     if not whole:
         known = [(one.state, one.fraction) for one in earlier if one.date == date]
-        is_begun = any(one.state in (DONE, PARTLY) for one in earlier)
-        return known[-1] if known else ("" if is_begun or has_states else DONE, 1.0)
+        is_begun = any(one.state in (TileState.DONE, TileState.PARTLY) for one in earlier)
+        return known[-1] if known else ("" if is_begun or has_states else TileState.DONE, 1.0)
     row = whole[0]
     fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
     if not 0 <= fraction <= MOST_FRACTION:
@@ -199,8 +186,8 @@ def _state_of(
     if good is None:
         raise InputError("good must be given for every tile, got a missing value")
     if not good or fraction == 0:
-        return BAD, fraction
-    return (DONE if fraction >= enough else PARTLY), fraction
+        return TileState.BAD, fraction
+    return (TileState.DONE if fraction >= enough else TileState.PARTLY), fraction
 
 
 def _event(
@@ -211,28 +198,26 @@ def _event(
     ``plan`` and ``target`` are the digests of plans and the targets that the table names.
     """
     states = history.states
-    if state == ADDED:
+    if state == TileState.ADDED:
         return _addition(name, history, *source)
     if name not in history.row_of:
         raise InputError(
             f"tile must be a tile of the survey, such as {next(iter(history.row_of), 'none')}, got {name!r}"
         )
     row = history.row_of[name]
-    if state == PLANNED:
-        return TileEvent(row, name, PLANNED, date, 0.0)
-    if state == DROPPED:
-        return TileEvent(row, name, DROPPED, date, 0.0)
+    if state in (TileState.PLANNED, TileState.DROPPED):
+        return TileEvent(row, name, state, date, 0.0)
     earlier = [one for one in states.of(row) if one.date == date]
     if len(plan) > 1:
         raise InputError(f"plan must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(plan))}")
-    named = next((history.named_plan(row, name, one) for one in plan), None)
+    named = next((history.named_plan(row, name, date, one) for one in plan), None)
     if named and any(one.plan != named for one in earlier if date):
         raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {min(plan)!r}")
     stated = [one[2:5] for one in history.past.get(row, ()) if one.has_state]
     is_repeated = date or (state, date, fraction) in stated
-    if earlier and (is_repeated or earlier[-1].state == DONE or earlier[-1].plan == history.plan(row)):
+    if earlier and (is_repeated or earlier[-1].state == TileState.DONE or earlier[-1].plan == history.plan(row)):
         return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
-    done = [one for one in states.of(row) if one.state == DONE]
+    done = [one for one in states.of(row) if one.state == TileState.DONE]
     if done:
         raise InputError(
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
@@ -284,19 +269,19 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
         row = history.row_of[name] = history.n_tiles
         history.n_tiles += 1
     elif np.array_equal(history.place(row), place):
-        return history.states.added.get(row, TileEvent(row, name, ADDED, place=tuple(place)))
-    return TileEvent(row, name, ADDED, place=tuple(place))
+        return history.states.added.get(row, TileEvent(row, name, TileState.ADDED, place=tuple(place)))
+    return TileEvent(row, name, TileState.ADDED, place=tuple(place))
 
 
 def _check_possible(event: TileEvent, history: History) -> None:
     """Raise an error if an event contradicts the observations of its tile."""
     attempts, name = history.states.of(event.row), event.tile
-    done = [one for one in attempts if one.state == DONE and one.observation != event.observation]
-    if event.state == ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
+    done = [one for one in attempts if one.state == TileState.DONE and one.observation != event.observation]
+    if event.state == TileState.ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
         raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
-    if event.state == DROPPED and done:
+    if event.state == TileState.DROPPED and done:
         raise InputError(f"tile {name} must not be dropped, because it was observed{_on(done[0].date)}")
-    if event.state == DONE and done:
+    if event.state == TileState.DONE and done:
         raise InputError(
             f"tile {name} must be observed only once, got its observations{_on(event.date)} and{_on(done[0].date)}; "
             "record one of them as bad"
@@ -311,12 +296,12 @@ def _is_known(event: TileEvent, history: History) -> bool:
     """
     states, is_dropped, before = history.states, event.row in history.states.dropped, history.earlier(event)
     is_same = before is not None and before[:7] == event[:7]
-    if event.state == ADDED:
+    if event.state == TileState.ADDED:
         is_planned = event.row < history.n_tiles_before and not is_dropped
         is_same = is_planned and np.array_equal(history.place(event.row), event.place)
-    elif event.state in (DROPPED, PLANNED):
-        is_same = is_dropped if event.state == DROPPED else not is_dropped and not states.of(event.row)
-    if not event.date and (is_same or event.state in (DROPPED, PLANNED)) and before is None:
+    elif event.state in (TileState.DROPPED, TileState.PLANNED):
+        is_same = is_dropped if event.state == TileState.DROPPED else not is_dropped and not states.of(event.row)
+    if not event.date and (is_same or event.state in (TileState.DROPPED, TileState.PLANNED)) and before is None:
         return is_same
     known = any(one.includes(event) for one in history.past.get(event.row, ()))
     if known and not is_same:
@@ -332,7 +317,7 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
     failed, stated, good = dict((history.earlier(event) or event).failed), {}, set()
     if not rows:
         return event._replace(failed=failed, stated=stated if failed else None)
-    visits = history.visits(event)
+    visits = history.events.visits(event)[0]
     ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
     ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
     positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}

@@ -6,13 +6,13 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
-from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_vectors
 from rfpsurvey.allocation import TileCandidates, no_rules
 from rfpsurvey.catalog import SkyIndex, to_time
 from rfpsurvey.errors import InputError, short
-from rfpsurvey.pipeline import project_field
+from rfpsurvey.focal_plane import FocalPlane
+from rfpsurvey.pipeline import FieldBuilder, project_field
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import projection_of
 from rfpsurvey.tiling import Tiling, places_of_tiles, when_of
@@ -23,24 +23,29 @@ SAME = ("epoch", "lost_in_collision", "keep_out", "constraints", "conditions")
 TOLERANCE = 3e-7
 
 
-class FixedTile(NamedTuple):
-    """The plan of a tile that was already observed."""
+class TilePlan(NamedTuple):
+    """The plan of a tile."""
 
     slot: np.ndarray
-    """Slot of the target of each positioner (see `TilePlan`); -1 if the positioner has no target."""
+    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target.
+
+    The number of all slots is added for a science target that the tile observes only in its other roles (see
+    `FieldBuilder`), without using one of its visits. The slot of the blank sky position with the index k is -2 - k.
+    These positions do not depend on which targets have remaining visits.
+    """
     side: np.ndarray
     """Handedness of each positioner: +1 is right, -1 is left."""
-    counted: np.ndarray
-    """Whether the visit of each positioner counts as an observation."""
+    counted: np.ndarray | None = None
+    """Whether the visit of each positioner of an observed tile counts as an observation; None for other tiles."""
     blank_mm: np.ndarray | None = None
-    """Position of the blank sky that each positioner observes, in mm; NaN if it observes none."""
+    """Position of the blank sky that each positioner of an observed tile observes, in mm; NaN if it observes none."""
 
-    def spends(self, n: int) -> np.ndarray:
-        """Return which positioners use a visit of their target; ``n`` is the number of slots (see `TilePlan`)."""
-        return self.counted & (self.slot < n)
+    def spent(self, builder: FieldBuilder) -> np.ndarray:
+        """Return the slots of the targets of which an observed tile uses a visit."""
+        return builder.spending(self.slot[self.counted & (self.slot < len(builder.left))])
 
 
-def fixed_tiles(request) -> dict[int, FixedTile]:
+def fixed_tiles(request) -> dict[int, TilePlan]:
     """Return the plans that do not change, as a dict from the row of a tile to its plan.
 
     These are the plans of the tiles that the option ``fixed`` contains. In a survey with recorded events, tiles that
@@ -65,10 +70,8 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
     survey = given if isinstance(given, Survey) else Survey.read(given)
     plane = request.instrument.focal_plane
     _check_request(request, survey)
-    side = -1 if plane.positioner.handedness == "left" else 1
     left = request.builder.left.astype(np.int64)
     requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
-    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
     found = {}
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
@@ -80,11 +83,9 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
             raise InputError(
                 f"fixed must be a survey of the targets of this catalog, got other targets or positions in tile {name}"
             )
-        own = np.array([row_of[one] for one in np.asarray(visits["positioner"]).tolist()], dtype=np.int64)
-        slot, counted = np.full(len(plane), -1), np.zeros(len(plane), dtype=bool)
-        slot[own] = _with_roles(request.builder, field.slot[index], visits)
-        counted[own] = np.asarray(visits["observed"]).astype(bool)
-        left[request.builder.spending(slot[counted & (slot < len(left))])] -= 1
+        slot = _with_roles(request.builder, field.slot[index], visits)
+        plan = _plan_of(plane, visits["positioner"], slot, visits["observed"])
+        left[plan.spent(request.builder)] -= 1
         bad = np.flatnonzero((left[field.slot[index]] < 0) | ~requested[field.slot[index]])
         if len(bad):
             raise InputError(
@@ -93,15 +94,15 @@ def fixed_tiles(request) -> dict[int, FixedTile]:
             )
         blank_mm = np.full((len(plane), 2), np.nan)
         if len(blank):
-            own = np.array([row_of[one] for one in np.asarray(blank["positioner"]).tolist()], dtype=np.int64)
             types = np.asarray(blank["fiber_type"]).astype(str) if "fiber_type" in blank.colnames else None
             vectors = to_vectors(SkyCoord(blank["ra"], blank["dec"]))
-            blank_mm[own] = project_field(request.instrument, projection_of(job), vectors, types)[0]
-        found[tile] = FixedTile(slot, np.full(len(plane), side, dtype=np.int8), counted, blank_mm)
+            places = project_field(request.instrument, projection_of(job), vectors, types)[0]
+            blank_mm[_rows_of(plane, blank["positioner"])] = places
+        found[tile] = plan._replace(blank_mm=blank_mm)
     return found
 
 
-def _recorded_tiles(request) -> dict[int, FixedTile]:
+def _recorded_tiles(request) -> dict[int, TilePlan]:
     """Return the plans of the tiles that were observed, partly observed or dropped."""
     plane, state = request.instrument.focal_plane, request.state
     if state.begun and plane.positioner.handedness == "both":
@@ -109,23 +110,32 @@ def _recorded_tiles(request) -> dict[int, FixedTile]:
             "a joint plan of a survey with partly observed tiles needs positioners of one handedness, because a survey "
             "does not record to which side an arm bends"
         )
-    n, every = len(plane), np.ones(len(request.builder.left), dtype=np.uint8)
-    side = np.full(n, -1 if plane.positioner.handedness == "left" else 1, dtype=np.int8)
-    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
-    left = request.builder.left.copy()
-    found = {row: FixedTile(np.full(n, -1), side, np.zeros(n, dtype=bool)) for row in state.closed}
+    every, left = np.ones(len(request.builder.left), dtype=np.uint8), request.builder.left.copy()
+    found = {row: _plan_of(plane, [], [], []) for row in state.closed}
     for tile, event in state.begun.items():
-        visits = read_fits_bytes(state.events.plan(tile, event.plan), f"the plan of tile {event.tile}")[0]
+        visits = state.events.visits(event)[0]
         visits = visits[visits["target_row"] >= 0]
         field = request.job(tile, every).field
-        own = np.array([row_of[one] for one in visits["positioner"].tolist()], dtype=np.int64)
-        slot, counted = np.full(n, -1), np.zeros(n, dtype=bool)
         base = field.slot[np.searchsorted(field.row, visits["target_row"])]
-        slot[own] = _with_roles(request.builder, base, visits)
-        counted[own] = visits["observed"].astype(bool) & ((left[base] > 0) | (slot[own] != base))
-        left[request.builder.spending(slot[counted & (slot < len(left))])] -= 1
-        found[tile] = FixedTile(slot, side, counted)
+        slot = _with_roles(request.builder, base, visits)
+        counted = visits["observed"].astype(bool) & ((left[base] > 0) | (slot != base))
+        found[tile] = _plan_of(plane, visits["positioner"], slot, counted)
+        left[found[tile].spent(request.builder)] -= 1
     return found
+
+
+def _plan_of(plane: FocalPlane, positioner, slot, counted) -> TilePlan:
+    """Return the plan of an observed tile; the parameters have an element for each visit."""
+    own, side = _rows_of(plane, positioner), -1 if plane.positioner.handedness == "left" else 1
+    found = TilePlan(np.full(len(plane), -1), np.full(len(plane), side, np.int8), np.zeros(len(plane), dtype=bool))
+    found.slot[own], found.counted[own] = slot, counted
+    return found
+
+
+def _rows_of(plane: FocalPlane, positioner) -> np.ndarray:
+    """Return the rows of the positioners with the given identifiers."""
+    row_of = {name: k for k, name in enumerate(plane.id.tolist())}
+    return np.array([row_of[name] for name in np.asarray(positioner).tolist()], dtype=np.int64)
 
 
 def _with_roles(builder, slot: np.ndarray, visits) -> np.ndarray:
@@ -217,7 +227,7 @@ def _targets_of(visits: QTable, field) -> np.ndarray | None:
     return index if (apart <= np.deg2rad(TOLERANCE)).all() else None
 
 
-def candidates_of(fixed: FixedTile, slots: np.ndarray) -> TileCandidates:
+def candidates_of(fixed: TilePlan, slots: np.ndarray) -> TileCandidates:
     """Return the candidates of a fixed tile, one for each positioner.
 
     ``slots`` lists the slots of all targets in the field of the tile. Visits that do not count as observations

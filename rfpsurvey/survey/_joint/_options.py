@@ -9,18 +9,30 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._units import to_scalar
+from rfpsurvey._settings import Settings, not_invertible, option
 from rfpsurvey.allocation import METHODS, AllocationOptions, as_options
-from rfpsurvey.errors import InputError, check_keywords, check_switch, check_whole, refusal, short
+from rfpsurvey.errors import InputError, check_keywords, short
 from rfpsurvey.survey._survey import Survey
 
+ONLY_DIGEST = not_invertible("fixed must be given as an argument of from_record, because records contain only a digest")
 JOINT = "joint"
 """Name of the allocator that stands for a joint plan with default options."""
 
 
+def _check_first(allocator: AllocationOptions | str) -> AllocationOptions | str:
+    """Return an allocator; raise an error if its options do not allow a joint plan."""
+    options = as_options(allocator)
+    if not options.method.plans_jointly:
+        names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
+        raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
+    if options.objective != "priority":
+        raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")
+    return allocator
+
+
 @check_keywords
-@dataclass(frozen=True)
-class JointOptions:
+@dataclass(frozen=True, eq=False, repr=False)
+class JointOptions(Settings):
     """Options of a joint plan, in which all tiles of a survey are planned together; the allocator of `plan_survey`.
 
     The tiles are first planned one after the other, and then together, such that the number of visits increases. If the
@@ -68,6 +80,11 @@ class JointOptions:
     InputError
         If a number is out of range.
 
+    Notes
+    -----
+    The attribute ``record`` contains a digest of ``fixed``, and neither ``inform`` nor ``allocator``. Therefore,
+    ``from_record`` also needs ``allocator`` and ``fixed`` as arguments if they do not have their default values.
+
     Examples
     --------
     >>> import astropy.units as u
@@ -76,28 +93,16 @@ class JointOptions:
     1800.0
     """
 
-    gap: float = 0.0
-    iterations: int = 10
-    time_limit: u.Quantity[u.s] | None = None
-    fixed: Survey | str | os.PathLike | None = None
-    inform: Callable | None = None
-    patch_size: int = 800
-    allocator: AllocationOptions | str = "optimal"
-    early: bool = False
-
-    def __post_init__(self):
-        if isinstance(self.gap, bool | str) or not isinstance(self.gap, int | float) or not 0 <= self.gap < 1:
-            raise refusal("gap must be a number of at least 0 and below 1", self.gap, int, float)
-        check_whole(self.iterations, "iterations", 0, 100_000)
-        check_whole(self.patch_size, "patch_size", 10, 100_000)
-        if not isinstance(self.fixed, Survey | str | os.PathLike | None):
-            raise refusal("fixed must be a Survey or the path of its folder", self.fixed)
-        if self.inform is not None and not callable(self.inform):
-            raise refusal("inform must be a function", self.inform)
-        if self.time_limit is not None:
-            to_scalar(self.time_limit, u.s, "time_limit", low=0)
-        check_switch(self.early, "early")
-        _check_first(as_options(self.allocator))
+    gap: float = option(0.0, low=0, below=1)
+    iterations: int = option(10, low=0, high=100_000)
+    time_limit: u.Quantity[u.s] | None = option(None, above=0)
+    fixed: Survey | str | os.PathLike | None = option(
+        None, words="a Survey or the path of its folder", to_record="_fixed_digest", from_record=ONLY_DIGEST
+    )
+    inform: Callable | None = option(None, words="a function", record=None, compare=False)
+    patch_size: int = option(800, low=10, high=100_000)
+    allocator: AllocationOptions | str = option("optimal", convert=_check_first, record=None)
+    early: bool = option(False, sparse=True)
 
     @property
     def seconds(self) -> float:
@@ -116,18 +121,6 @@ class JointOptions:
             total.update(repr((name, columns)).encode())
         return total.hexdigest()
 
-    @property
-    def record(self) -> dict:
-        """The options as text and numbers, as they are written to files."""
-        return {
-            "gap": self.gap,
-            "iterations": self.iterations,
-            "time_limit_s": None if self.time_limit is None else self.seconds,
-            "fixed": self._fixed_digest,
-            "patch_size": self.patch_size,
-            **({"early": True} if self.early else {}),
-        }
-
 
 def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None]:
     """Return the options of the tiles, and the options of the joint plan, if one is requested."""
@@ -138,12 +131,3 @@ def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, Joint
     if not (isinstance(order, str) and order == "color"):
         raise InputError(f"the order must be 'color' for a joint plan, got {short(order)}")
     return as_options(allocator.allocator), allocator
-
-
-def _check_first(options: AllocationOptions) -> None:
-    """Raise an error if the options of the allocator do not allow a joint plan."""
-    if not options.method.plans_jointly:
-        names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
-        raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
-    if options.objective != "priority":
-        raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")

@@ -11,6 +11,11 @@ from rfpsurvey.survey._joint._network import Network
 # Plans whose total weights differ by less than this value may be treated as equal. The weights of targets of
 # different priority classes differ by at least 1.
 PRECISION = 0.5
+# Largest number of nodes of the search tree of an integer program: NODES if the program improves a plan, and
+# NODES_OF_BOUND if the program gives a bound.
+NODES, NODES_OF_BOUND = 300, 100
+# Allowed relative error of an integer program that gives a bound; the bound is valid whatever the error is.
+GAP = 2e-4
 
 
 def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.Generator) -> np.ndarray:
@@ -45,14 +50,17 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
 
 
 class Patches:
-    """The patches of one division of the positioners, and the sets that contain candidates of several patches."""
+    """The patches of one division of the positioners, and the sets that contain candidates of several patches.
+
+    ``members`` contains the positioners of each patch.
+    """
 
     def __init__(self, network: Network, label: np.ndarray):
         self.network, self.label = network, label
         order = np.argsort(label, kind="stable")
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
-        self._members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
+        self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
         of_entry = label[network.own[network.matrix.indices]]
         row = np.repeat(np.arange(len(network.most)), np.diff(network.matrix.indptr))
         inside = of_entry >= 0
@@ -87,16 +95,12 @@ class Patches:
             color[one] = next(k for k in range(self.n + 1) if k not in taken)
         return [np.flatnonzero(color == k).tolist() for k in range(int(color.max(initial=-1)) + 1)]
 
-    def members(self, patch: int) -> np.ndarray:
-        """Return the positioners of a patch."""
-        return self._members[patch]
-
     def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:
         """Return the candidates of a patch, and the index of the first candidate of each positioner.
 
         The array of indices ends with the number of candidates.
         """
-        members, start = self._members[patch], self.network.start
+        members, start = self.members[patch], self.network.start
         size = start[members + 1] - start[members]
         ends = np.concatenate([[0], np.cumsum(size)])
         return np.repeat(start[members] - ends[:-1], size) + np.arange(ends[-1]), ends
@@ -107,7 +111,7 @@ class Patches:
         A better plan requires two conditions: a positioner of the patch does not yet observe a target of the highest
         priority class in its reach, and a target with remaining visits (``unmet``) is in reach of the patch.
         """
-        network, members = self.network, self._members[patch]
+        network, members = self.network, self.members[patch]
         rows, ends = self.candidates(patch)
         rank = network.rank[rows]
         if (network.rank[chosen[members]] == np.minimum.reduceat(rank, ends[:-1])).all():
@@ -121,9 +125,8 @@ class Patches:
         load: np.ndarray,
         limits: np.ndarray,
         weight: np.ndarray,
-        nodes: int,
         deadline: float,
-        precision: float = PRECISION,
+        precision: float,
     ) -> tuple[np.ndarray, WeightedProblem]:
         """Return the candidates of a patch that can be used while all arms outside the patch remain fixed.
 
@@ -131,7 +134,7 @@ class Patches:
         of each set that the plan ``chosen`` uses, followed by the sum of each rule, and ``limits`` are the largest
         allowed values of these numbers.
         """
-        network, members = self.network, self._members[patch]
+        network, members = self.network, self.members[patch]
         rows, ends = self.candidates(patch)
         part = network.columns[:, rows]
         now = chosen[members]
@@ -145,9 +148,9 @@ class Patches:
         is_open, start, sets = _without_full_sets(part, rest, ends, usable, sets >= len(network.most))
         rows, first = rows[is_open], (np.cumsum(is_open) - 1)[mine]
         gap = precision / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
-        return rows, WeightedProblem(start, weight[rows], *sets, first, nodes, gap, deadline)
+        return rows, WeightedProblem(start, weight[rows], *sets, first, NODES, gap, deadline)
 
-    def alone(self, patch: int, value: np.ndarray, nodes: int, gap: float, deadline: float) -> WeightedProblem:
+    def alone(self, patch: int, value: np.ndarray, deadline: float) -> WeightedProblem:
         """Return the integer program of a patch; sets that contain candidates of several patches are omitted."""
         network = self.network
         rows, ends = self.candidates(patch)
@@ -156,7 +159,7 @@ class Patches:
         sets = sets[sets < len(self.crosses)]  # the columns also contain the rules
         sets = sets[~self.crosses[sets]]
         is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
-        return WeightedProblem(start, value[rows[is_open]], *sets, None, nodes, gap, deadline)
+        return WeightedProblem(start, value[rows[is_open]], *sets, None, NODES_OF_BOUND, GAP, deadline)
 
     def value_of_rest(self, value: np.ndarray) -> float:
         """Return the sum of the values of the positioners that have only one candidate."""

@@ -1,5 +1,6 @@
 """Plan all tiles of a survey together, and make a request that contains the plan of each tile."""
 
+import io
 import logging
 from dataclasses import dataclass, field, fields
 from functools import partial
@@ -8,23 +9,17 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._progress import Progress
-from rfpsurvey.survey._joint._fixed import fixed_tiles
+from rfpsurvey._readers import read_arrays
+from rfpsurvey.errors import InputError, warn
+from rfpsurvey.survey._joint._fixed import TilePlan, fixed_tiles
 from rfpsurvey.survey._joint._search import Search, levels_of
-from rfpsurvey.survey._joint._start import (
-    TilePlan,
-    classes_of,
-    first_plans,
-    given_plan,
-    goals_of,
-    list_all,
-    place,
-    plans_of,
-)
-from rfpsurvey.survey._joint._state import read_state, write_state
+from rfpsurvey.survey._joint._start import classes_of, first_plans, given_plan, goals_of, list_all, place, plans_of
 from rfpsurvey.survey._joint._windows import WindowSearch
 from rfpsurvey.survey._request import Request
 
 log = logging.getLogger("rfpsurvey")
+STATE = "joint/state.npz"
+"""File of the state of the search in the folder of a survey."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,10 +61,9 @@ def plan_together(request: Request, folder, executor, progress) -> tuple[Request
     progress : bool or callable
         The value of ``progress`` for the step after the search, in which the tiles are written.
     """
-    if request.cadences is not None:
-        return _plan_windows(request, executor, progress)
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
-    names = classes_of(request)[1]
+    names, has_cadences = classes_of(request)[1], request.cadences is not None
+    folder = None if has_cadences else folder
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
     fixed = fixed_tiles(request)
     tell, steps = progress, n + request.joint.iterations + 1
@@ -80,48 +74,36 @@ def plan_together(request: Request, folder, executor, progress) -> tuple[Request
             note = "planning one tile after the other"
             plans = first_plans(request, fixed, executor, partial(tell, note=note))
         else:
-            plans = [TilePlan(*columns) for columns in stored.plans]
+            plans = [
+                TilePlan(*columns)
+                for columns in zip(*(stored[name].reshape(n, n_positioners) for name in ("slot", "side")), strict=True)
+            ]
             tell(n, new=False)
         network, directions, subpriority = list_all(request, plans, fixed, executor)
-        goals = goals_of(request, network, subpriority)
-        given = request.joint, request.seed, stored, len(goals)
-        search = Search(network, place(network, plans), directions, *given)
+        goals = [] if has_cadences else goals_of(request, network, subpriority)
+        given = network, place(network, plans)
+        search = (
+            WindowSearch(*given, request)
+            if has_cadences
+            else Search(*given, directions, request.joint, request.seed, stored, len(goals))
+        )
         if stored is None:
-            search.begin(partial(_inform, request.joint.inform))
+            search.begin()
+            if request.joint.inform is not None:
+                numbers = {"visits_before": search.steps[0].visits, "visits": search.visits, "bound": search.bounds}
+                request.joint.inform({name: values.tolist() for name, values in numbers.items()})
             _store(folder, network, search)
         while not search.is_over:
             search.iterate(executor)
             tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
             _store(folder, network, search)
-        search.finish(executor, goals)
+        if goals:
+            search.finish(executor, goals)
         tell(steps)
     log.info("planned %d tiles together in %d iterations", n, search.iteration)
-    return _planned(request, plans_of(network, search.chosen), fixed), table_of(search, names), progress
-
-
-def _plan_windows(request: Request, executor, progress) -> tuple[Request, QTable, object]:
-    """Plan dated tiles with cadences; the parameters and results are those of `plan_together`."""
-    n, last = len(request.tiling), request.joint.iterations + 1
-    tell = progress
-    if callable(progress):
-        tell, progress = (partial(_tell, progress, before, 2 * n + last) for before in (0, n + last))
-    with Progress(tell, n + last, "steps") as tell:
-        plans = first_plans(request, {}, executor, partial(tell, note="planning one tile after the other"))
-        network = list_all(request, plans, {}, executor)[0]
-        search = WindowSearch(network, place(network, plans), request)
-        search.begin()
-        _inform(request.joint.inform, search)
-        while not search.is_over:
-            search.iterate()
-            tell(n + search.iteration, note=f"largest gap {search.gaps.max():.3%}")
-        tell(n + last)
-    planned = _planned(request, plans_of(network, search.chosen), {})
-    return planned, table_of(search, classes_of(request)[1]), progress
-
-
-def _planned(request: Request, plans: list[TilePlan], fixed: dict) -> PlannedRequest:
-    """Return the request with the plan of each tile."""
-    return PlannedRequest(**{f.name: getattr(request, f.name) for f in fields(request)}, plans=plans, fixed=fixed)
+    known = {f.name: getattr(request, f.name) for f in fields(request)}
+    planned = PlannedRequest(**known, plans=plans_of(network, search.chosen), fixed=fixed)
+    return planned, table_of(search, names), progress
 
 
 def _tell(progress, before: int, total: int, done: float, _) -> None:
@@ -129,17 +111,54 @@ def _tell(progress, before: int, total: int, done: float, _) -> None:
     progress(before + done, total)
 
 
-def _inform(inform, search: Search) -> None:
-    """Call the function ``inform`` with the numbers of visits and their upper bounds before the first iteration."""
-    if inform is not None:
-        before = search.steps[0].visits.tolist()
-        inform({"visits_before": before, "visits": search.visits.tolist(), "bound": search.bounds.tolist()})
+def _store(folder, network, search: Search) -> None:
+    """Write the state of a search to the folder of a survey, if there is one."""
+    if folder is None:
+        return
+    plans = plans_of(network, search.chosen)
+    seconds = search.seconds if np.isfinite(search.options.seconds) else 0.0  # files of equal searches are equal
+    columns = {
+        "slot": np.concatenate([plan.slot for plan in plans]),
+        "side": np.concatenate([plan.side for plan in plans]),
+        "size": np.array([len(plan.slot) for plan in plans]),
+        "numbers": np.array([search.size, search.iteration, seconds]),
+        "bounds": search.bounds,
+        "next_size": search.next_size,
+        "steps": np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps]),
+    }
+    if len(search.limits):
+        columns |= {"bounds_of_all": search.bounds_of_all, "limits": search.limits}
+    columns |= {f"price{k}": price for k, price in enumerate(search.prices) if price is not None}
+    content = io.BytesIO()
+    np.savez(content, **columns)
+    folder.put_file(STATE, content.getvalue())
 
 
-def _store(folder, network, search) -> None:
-    """Write the state of the search to the folder."""
-    if folder is not None:
-        write_state(folder, plans_of(network, search.chosen), search)
+def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[str, np.ndarray] | None:
+    """Return the arrays of the stored state of a search; None if there is no state, or if it is damaged."""
+    content, n = folder.file(STATE), n_tiles * n_positioners
+    if content is None:
+        return None
+    per_level = ("f8", (n_levels,))
+    expected = {
+        "slot": ("i8", (n,)),
+        "side": ("i1", (n,)),
+        "numbers": ("f8", (3,)),
+        "bounds": per_level,
+        "next_size": per_level,
+        "steps": ("f8", (None, 1 + 2 * n_levels)),
+        "bounds_of_all?": per_level,
+        "limits?": ("f8", (None,)),
+        **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
+    }
+    try:
+        found = read_arrays(io.BytesIO(content), expected, "the archive")
+        if not all(np.isfinite(found[name]).all() for name in ("numbers", "next_size")) or found["numbers"].min() < 0:
+            raise InputError("the archive must contain finite numbers of at least 0, got others")
+        return found
+    except InputError as error:
+        warn(f"the search for a joint plan starts again, because its stored state cannot be read: {error}")
+        return None
 
 
 def table_of(search: Search, names: list[str]) -> QTable:

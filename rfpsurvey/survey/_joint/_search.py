@@ -5,7 +5,6 @@ each other, or all candidates with the same target; a plan may use only a limite
 *price* of a set is the Lagrange multiplier of this constraint in the upper bound.
 """
 
-from collections.abc import Callable
 from concurrent.futures import Executor
 from time import perf_counter, time
 from typing import NamedTuple
@@ -20,7 +19,6 @@ from rfpsurvey.survey._joint._network import Network
 from rfpsurvey.survey._joint._options import JointOptions
 from rfpsurvey.survey._joint._patches import PRECISION, Patches, divide
 from rfpsurvey.survey._joint._paths import Paths
-from rfpsurvey.survey._joint._state import State
 
 # Stages of the computation of prices: width of the smooth maximum (see `RowPrices.improve`), and number of sweeps.
 SWEEPS = ((0.2, 20), (0.1, 20), (0.05, 30), (0.02, 30), (0.01, 30), (0.005, 30))
@@ -31,11 +29,6 @@ FOR_PRICES = 0.15
 N_LAST, LESS, PRECISION_OF_GOALS, FOR_GOALS = 2, 0.1, 0.01, 0.15
 # Largest number of levels for which bounds are computed.
 MOST_LEVELS = 8
-# Largest number of nodes of the search tree of an integer program: NODES if the program improves a plan, and
-# NODES_OF_BOUND if the program gives a bound.
-NODES, NODES_OF_BOUND = 300, 100
-# Allowed relative error of an integer program that gives a bound; the bound is valid whatever the error is.
-GAP = 2e-4
 # Largest number of reachable pairs for which the matching that ignores collisions is computed.
 MOST_EDGES = 4_000_000
 # Upper limit of the sum of all terms that decide between plans of equal value, as a fraction of the weight of the
@@ -75,11 +68,52 @@ class Step(NamedTuple):
     """Number of complete cadences of each level, and its bound; None without cadences."""
 
 
-class Search:
+class JointSearch:
+    """A plan of all tiles, and upper bounds of its numbers of visits, which the iterations of a search improve.
+
+    Parameters
+    ----------
+    network : Network
+        The candidates of all tiles.
+    chosen : ndarray of int, shape (n_positioners,)
+        Candidate of each positioner in the first plan.
+    options : JointOptions
+        The options.
+    """
+
+    def __init__(self, network: Network, chosen: np.ndarray, options: JointOptions):
+        self.network, self.chosen, self.options = network, chosen.astype(np.int64), options
+        # Every plan meets the requirements of each tile at least as well as the first plan. The bounds apply to all
+        # plans that do so, except `bounds_of_all`.
+        self.limits = np.maximum(network.rule_most, network.sums(chosen))
+        self.levels = levels_of(network.n_classes)
+        self.bounds = np.full(len(self.levels), np.inf)
+        self.bounds_of_all = self.bounds.copy()
+        self.iteration, self.spent, self._begin = 0, 0.0, perf_counter()
+        self.steps: list[Step] = []
+
+    @property
+    def seconds(self) -> float:
+        """Duration of the search in seconds; if the time is limited, earlier runs of this search are included."""
+        return self.spent + perf_counter() - self._begin
+
+    @property
+    def is_over(self) -> bool:
+        """Whether no further iteration is required or allowed."""
+        small = bool((self.gaps <= self.options.gap).all() and self._may_end)
+        return small or self.iteration >= self.options.iterations or self.out_of_time()
+
+    def out_of_time(self) -> bool:
+        """Return whether the time limit has passed."""
+        return self.seconds >= self.options.seconds
+
+
+class Search(JointSearch):
     """A plan of all tiles, and upper bounds of the number of visits; each iteration can improve the plan or a bound.
 
     ``chosen`` is the candidate of each positioner in the first plan; ``directions`` are unit vectors of the centers
-    of all positioners. ``state`` is the stored state of the search, and ``n_goals`` the number of goals of `finish`.
+    of all positioners. ``state`` contains the arrays of the stored state of the search, and ``n_goals`` is the number
+    of goals of `finish`.
     """
 
     def __init__(
@@ -89,29 +123,22 @@ class Search:
         directions: np.ndarray,
         options: JointOptions,
         seed: int,
-        state: State | None = None,
+        state: dict[str, np.ndarray] | None = None,
         n_goals: int = 0,
     ):
-        self.network, self.chosen, self.directions = network, chosen.copy(), directions
-        self.options, self.seed = options, seed
-        self._reserved = FOR_GOALS if n_goals else 0.0
-        # Every plan meets the requirements of each tile at least as well as the first plan. The bounds apply to all
-        # plans that do so, except `bounds_of_all`.
-        self.limits = np.maximum(network.rule_most, network.sums(chosen)) if state is None else state.limits
+        super().__init__(network, chosen, options)
+        self.directions, self.seed, self._reserved = directions, seed, FOR_GOALS if n_goals else 0.0
+        if state is not None:
+            self.limits = state.get("limits", np.empty(0))
         if len(self.limits) != len(network.rule_most):
             raise _damaged(f"{len(network.rule_most)} limits", len(self.limits))
         self._bounded = network.with_requirements(self.limits)
-        self.levels = levels_of(network.n_classes)
-        self.bounds = np.full(len(self.levels), np.inf)
-        self.bounds_of_all = self.bounds.copy()
-        self.size, self.iteration, self.spent = float(options.patch_size), 0, 0.0
-        self.steps: list[Step] = []
+        self.size = float(options.patch_size)
         # The size that the patches must reach before the bound of each level is computed again; an iteration that does
         # not lower the bound increases this size.
         self.next_size = np.zeros(len(self.levels))
         self._prices = [None] * len(self.levels)
         self._paths = Paths(network)
-        self._begin = perf_counter()
         if state is not None:
             self._restore(state)
 
@@ -120,15 +147,16 @@ class Search:
         """Prices of the sets for each level; None for a level without prices."""
         return [None if one is None else one.price for one in self._prices]
 
-    def _restore(self, state: State) -> None:
+    def _restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue a search from its stored state."""
         n = len(self.levels)
-        self.next_size, self.bounds_of_all = state.next_size, state.bounds_of_all
-        self.bounds, self.size, self.iteration, self.spent = state.bounds, state.size, state.iteration, state.seconds
-        for row in state.steps:
+        self.size, iteration, self.spent = state["numbers"].tolist()
+        self.iteration, self.next_size, self.bounds = int(iteration), state["next_size"], state["bounds"]
+        self.bounds_of_all = state.get("bounds_of_all", self.bounds)
+        for row in state["steps"]:
             self.steps.append(Step(int(row[0]), np.nan, row[1 : 1 + n].astype(np.int64), row[1 + n :]))
-        for k, price in enumerate(state.prices):
-            if price is not None:
+        for k in range(n):
+            if (price := state.get(f"price{k}")) is not None:
                 prices = self._prices_of(k)
                 if price.shape != prices.price.shape:
                     raise _damaged(f"{len(prices.price)} prices", len(price))
@@ -139,29 +167,18 @@ class Search:
         """Number of visits of each level."""
         return np.cumsum(self.network.counts(self.chosen))[self.levels]
 
-    def chosen_targets(self) -> np.ndarray:
-        """Return the target of each visit of the plan."""
-        target = self.network.target[self.chosen]
-        return target[target >= 0]
-
     @property
     def gaps(self) -> np.ndarray:
         """Relative difference between the number of visits of each level and its upper bound."""
         return 1.0 - self.visits / np.maximum(np.maximum(self.bounds, self.visits), 1.0)
 
     @property
-    def seconds(self) -> float:
-        """Duration of the search in seconds; if the time is limited, earlier runs of this search are included."""
-        return self.spent + perf_counter() - self._begin
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no further iteration is required or allowed."""
-        small = bool((self.gaps <= self.options.gap).all()) and bool(np.isfinite(self.bounds).all())
-        return small or self.iteration >= self.options.iterations or self.out_of_time()
+    def _may_end(self) -> bool:
+        """Whether the search can end when the gaps are small: all bounds are known."""
+        return bool(np.isfinite(self.bounds).all())
 
     def out_of_time(self) -> bool:
-        """Return whether the time limit has passed."""
+        """Return whether the time limit has passed, without the time that is reserved for the goals."""
         return self.seconds >= self._limit
 
     @property
@@ -177,7 +194,7 @@ class Search:
         """Return the value of `time.time` at which the search ends."""
         return time() + self._limit - self.seconds
 
-    def begin(self, tell: Callable | None = None) -> None:
+    def begin(self) -> None:
         """Compute the first bounds from a matching and from prices, and improve the plan along augmenting paths."""
         for k, level in enumerate(self.levels):
             self.bounds[k] = self.network.matching(int(level), MOST_EDGES)
@@ -186,19 +203,17 @@ class Search:
         self.bounds_of_all = self.bounds.copy()
         for k in range(len(self.levels)):
             if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
-                self._price(k)
+                bound = self._prices_of(k).improve(self._weights(k), SWEEPS, self._out_of_time_for_prices)
+                self.bounds[k] = min(self.bounds[k], np.floor(bound))
         if self._bounded is self.network:
             self.bounds_of_all = self.bounds.copy()
         self._record()
-        if tell is not None:
-            tell(self)
 
     def iterate(self, executor: Executor | None) -> None:
         """Run one iteration, which can improve the plan and lower the bound of one level."""
         before = self.visits, self.bounds.copy()
         rng = np.random.default_rng([self.seed, self.iteration])
-        label = divide(self.network, self.directions, int(self.size), rng)
-        patches = Patches(self.network, label)
+        patches = self._patches(rng)
         self._improve(patches, executor)
         self._follow_paths()
         open_levels = np.flatnonzero(self.bounds > self.visits)
@@ -214,6 +229,10 @@ class Search:
         if (gained < LITTLE).all():
             self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
         self._record()
+
+    def _patches(self, rng: np.random.Generator) -> Patches:
+        """Divide the positioners into patches of the present size."""
+        return Patches(self.network, divide(self.network, self.directions, int(self.size), rng))
 
     def _follow_paths(self):
         """Improve the plan by augmenting paths."""
@@ -233,11 +252,6 @@ class Search:
             self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
         return self._prices[level]
 
-    def _price(self, level):
-        """Adjust the prices for one priority level, which lowers the upper bound of this level."""
-        bound = self._prices_of(level).improve(self._weights(level), SWEEPS, self._out_of_time_for_prices)
-        self.bounds[level] = min(self.bounds[level], np.floor(bound))
-
     def _bound(self, level, patches, executor):
         """Lower the bound of a level by solving the patches as integer programs.
 
@@ -250,7 +264,7 @@ class Search:
         cross = np.where(patches.crosses, prices.price, 0.0)
         value = self._weights(level) - network.matrix.T @ cross
         deadline = self._deadline()
-        problems = [patches.alone(k, value, NODES_OF_BOUND, GAP, deadline) for k in range(patches.n)]
+        problems = [patches.alone(k, value, deadline) for k in range(patches.n)]
         total = float(cross @ network.most) + patches.value_of_rest(value)
         total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
@@ -279,7 +293,9 @@ class Search:
         others = network.rank == network.n_classes
         if others.any():  # fibers without science targets observe sky positions and standards rather than nothing
             value = 0.75 * value + 0.25 * others
-        unmet = np.append(network.visits > np.bincount(self.chosen_targets(), minlength=len(network.slot)), False)
+        target = network.target[self.chosen]
+        made = np.bincount(target[target >= 0], minlength=len(network.slot))
+        unmet = np.append(network.visits > made, False)
         self._replan(patches, executor, value, lambda k: patches.can_gain(k, self.chosen, unmet))
 
     def finish(self, executor: Executor | None, goals: list[np.ndarray]) -> None:
@@ -292,8 +308,7 @@ class Search:
             value = sum(goal * LESS**k for k, goal in enumerate(goals[:n])) / sum(LESS**k for k in range(n))
             for k in range(N_LAST):
                 rng = np.random.default_rng([self.seed, n, k, 2])
-                patches = Patches(self.network, divide(self.network, self.directions, int(self.size), rng))
-                self._replan(patches, executor, value, lambda _: True, goals[:n])
+                self._replan(self._patches(rng), executor, value, lambda _: True, goals[:n])
         self.steps[-1] = self.steps[-1]._replace(visits=self.visits)
 
     def _replan(self, patches, executor, value, is_useful, goals=()):
@@ -306,21 +321,21 @@ class Search:
         network = self.network
         load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         limits = np.append(network.most, self.limits)
-        by_class = self._class_weights(max((len(patches.members(k)) for k in range(patches.n)), default=1))
+        by_class = self._class_weights(max((len(patches.members[k]) for k in range(patches.n)), default=1))
         for group in patches.colors():
             if self.out_of_time():
                 break
             found, deadline = [], self._deadline()
             group = [k for k in group if is_useful(k)]
             for k in group:
-                tie = TIE / max(len(patches.members(k)), 1)
+                tie = TIE / max(len(patches.members[k]), 1)
                 weight = by_class[network.rank] + tie * value
                 precision = PRECISION_OF_GOALS * tie if goals else PRECISION
-                found.append(patches.within(k, self.chosen, load, limits, weight, NODES, deadline, precision))
+                found.append(patches.within(k, self.chosen, load, limits, weight, deadline, precision))
             results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
             for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
                 if chosen is not None:
-                    self._take(patches.members(k), rows[chosen], load, limits, goals)
+                    self._take(patches.members[k], rows[chosen], load, limits, goals)
 
     def _take(self, members, new, load, limits, goals):
         """Use the new candidates of a patch if the resulting plan is at least as good as before, and keeps all rules.

@@ -3,7 +3,6 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 
@@ -12,25 +11,9 @@ from rfpsurvey._roles import has_role
 from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_subpriorities
 from rfpsurvey.pipeline import FieldBuilder, FieldRows
-from rfpsurvey.survey._joint._fixed import candidates_of
+from rfpsurvey.survey._joint._fixed import TilePlan, candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._work import Job, plan_of, projection_of
-
-
-class TilePlan(NamedTuple):
-    """The plan of a tile."""
-
-    slot: np.ndarray
-    """Slot of the target of each positioner (see `Bookkeeping`); -1 if the positioner has no target.
-
-    The number of all slots is added for a science target that the tile observes only in its other roles (see
-    `FieldBuilder`), without using one of its visits. The slot of the blank sky position with the index k is -2 - k.
-    These positions do not depend on which targets have remaining visits.
-    """
-    side: np.ndarray
-    """Handedness of each positioner: +1 is right, -1 is left."""
-    blank_mm: np.ndarray | None = None
-    """Position of the blank sky that each positioner of an observed tile observes (see `FixedTile`)."""
 
 
 def _plan(job: Job):
@@ -56,7 +39,7 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
     state, plans, done = request.open_state(), [None] * len(request.tiling), 0
     for tile, observed in fixed.items():
-        state.left[request.builder.spending(observed.slot[observed.spends(len(state.left))])] -= 1
+        state.left[observed.spent(request.builder)] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
         done += 1
     for round_ in request.rounds:
@@ -66,10 +49,9 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
             tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
         ):
             n = len(job.field.slot)
-            inside = np.append(job.field.slot, -1)[np.where(target < n, target, -1)]
-            slot = np.where(target >= n, n - 2 - target, inside)
-            made = np.ones(len(slot), dtype=bool)
-            state.enter(job.field, np.zeros(n, dtype=np.uint8), slot, made, request.number[tile], tile)
+            inside = np.where(target < n, target, -1)
+            slot = np.where(target >= n, n - 2 - target, np.append(job.field.slot, -1)[inside])
+            state.enter(tile, job.field, np.zeros(n, dtype=np.uint8), inside, np.ones(len(slot), dtype=bool))
             plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
             done += 1
             tell(done)

@@ -7,15 +7,13 @@ bounds, prices replace the limits that a positioner has one target and that arms
 optimization); each target then has its own best sequence.
 """
 
-from time import perf_counter
-
 import numpy as np
 
 from rfpsurvey._kernels import windows as kernels
 from rfpsurvey.survey._cadences import NIGHT
 from rfpsurvey.survey._joint._network import Network
 from rfpsurvey.survey._joint._paths import Paths
-from rfpsurvey.survey._joint._search import FOR_PRICES, Step, levels_of
+from rfpsurvey.survey._joint._search import FOR_PRICES, JointSearch, Step
 
 # Number of times that an iteration considers each target that is not complete.
 PASSES = 20
@@ -27,7 +25,7 @@ WHOLE, VISIT = (0.0, 1.0), (1.0, 0.0)
 ROUNDING = 1e-6, 1e-9
 
 
-class WindowSearch:
+class WindowSearch(JointSearch):
     """A plan of all tiles that observes targets in their windows, and upper bounds.
 
     Parameters
@@ -41,11 +39,8 @@ class WindowSearch:
     """
 
     def __init__(self, network: Network, chosen: np.ndarray, request):
-        self.network, self.request, self.options = network, request, request.joint
-        self.chosen = chosen.astype(np.int64)
-        self.levels, self.iteration, self.steps = levels_of(network.n_classes), 0, []
-        self.limits = np.maximum(network.rule_most, network.sums(chosen))
-        self._begin, self._links = perf_counter(), Paths(network).links
+        super().__init__(network, chosen, request.joint)
+        self.request, self._links = request, Paths(network).links
         self._dates, place_of, self._time_of = _dates_of(network, request)
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
@@ -56,7 +51,7 @@ class WindowSearch:
         self._used, self._done = np.full(n_places, -1), self._counts_of_targets()
         mine = chosen[place_of[chosen] >= 0]
         self._used[place_of[mine]] = mine
-        self.bounds, self.bounds_complete, self.bounds_of_all = np.full((3, len(self.levels)), np.inf)
+        self.bounds_complete = self.bounds.copy()
 
     @property
     def counts(self) -> np.ndarray:
@@ -95,7 +90,7 @@ class WindowSearch:
             self._bound_level(k)
         self._record()
 
-    def iterate(self) -> None:
+    def iterate(self, _executor: object) -> None:
         """Run one iteration, which considers each target that is not complete several times."""
         self._improve(PASSES)
         self.iteration += 1
@@ -108,15 +103,9 @@ class WindowSearch:
         return 1.0 - n / np.maximum(np.maximum(self.bounds_complete, n), 1.0)
 
     @property
-    def seconds(self) -> float:
-        """Duration of the search in seconds."""
-        return perf_counter() - self._begin
-
-    @property
-    def is_over(self) -> bool:
-        """Whether no further iteration is required or allowed."""
-        small = bool((self.gaps <= self.options.gap).all() and (self.counts[:, 1] >= self.bounds).all())
-        return small or self.iteration >= self.options.iterations or self.seconds >= self.options.seconds
+    def _may_end(self) -> bool:
+        """Whether the search can end when the gaps are small: no further visits are possible."""
+        return bool((self.visits >= self.bounds).all())
 
     def _record(self) -> None:
         counts = self.counts
@@ -130,7 +119,7 @@ class WindowSearch:
         real = (self.network.rank_of_target < self.network.n_classes) & (totals > 0)
         gain = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
         for _ in range(passes):
-            if self.seconds >= self.options.seconds:
+            if self.out_of_time():
                 break
             order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
             rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
@@ -249,7 +238,10 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     place_of = np.full(len(network.target), -1)
     place_of[real] = place.reshape(-1)
     own = request.source.to_slots(row)
-    cadence = np.where(network.slot >= 0, own[np.maximum(network.slot, 0)], -1)
+    # standards, sky positions, and copies of targets that are used only in these roles have no cadence
+    counted = network.rank_of_target < network.n_classes
+    cadence = np.full(n_targets, -1)
+    cadence[counted] = own[network.slot[counted]]
     cliques = network.matrix[: network.n_cliques]
     dates = kernels.Dates(
         np.where(cadence < 0, len(epochs) - 1, cadence),

@@ -37,6 +37,8 @@ def test_the_columns_of_the_catalog_are_read_in_tables_of_targets(ranked):
     assert survey.state(catalog).table["priority"][rows[1004]] == -3
     with pytest.warns(rs.RfpsurveyWarning, match="columns that are not used: NUMOBS_MORE"):
         survey.record(events(target=1005, visits=2, NUMOBS_MORE=3))
+    with pytest.raises(rs.InputError, match="must have a column target or positioner, got the column 'star'"):
+        survey.record(events(tile=11, star=1003, good=False))
 
 
 def test_added_targets_have_the_number_of_visits_of_the_plan(tmp_path):
@@ -145,6 +147,29 @@ def test_visits_are_not_attributed_to_the_targets_of_another_catalog(tmp_path, c
     assert survey.state(rs.Catalog.from_table(table)).observed.sum() == observed > 0
     with pytest.raises(rs.InputError, match="the catalog must be that of the first plan, .* got another catalog"):
         survey.state(rs.Catalog.from_table(CHANGES[change](table)))
+
+
+@pytest.mark.parametrize("column", ["visits", "mag"])
+@pytest.mark.parametrize("replanned", [False, True])
+def test_visits_and_columns_that_rules_use_are_those_of_the_first_catalog(tmp_path, column, replanned):
+    """Catalogs with other magnitudes under a rule on magnitudes, or with other numbers of visits, were accepted."""
+    sky = replace(targets(), visits=np.tile([1, 2], 30), extra=QTable({"mag": np.linspace(5, 15, 60)}))
+    magnitudes = rs.AllocationOptions("nearest", constraints=["magnitude mag 6 inf science"])
+    options = {"allocator": magnitudes, "folder": tmp_path / "survey"}
+    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    if replanned:
+        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
+    other = (
+        replace(sky, visits=sky.visits[::-1])
+        if column == "visits"
+        else replace(sky, extra=QTable({"mag": sky.extra["mag"][::-1]}))
+    )
+    observed = survey.state(sky).observed.sum()
+    with pytest.raises(rs.InputError, match=f"must be that of the first plan, .* other values of '{column}'"):
+        survey.state(other)
+    if column == "visits":  # visits of the catalog are not used if they are given
+        assert survey.state(other, visits=np.asarray(sky.visits)).observed.sum() == observed
 
 
 def test_the_catalog_is_compared_at_its_own_epoch_and_without_the_rule(tmp_path):

@@ -100,6 +100,20 @@ def test_an_earlier_plan_of_a_repeated_observation_is_named(case, survey, replan
     assert sorted(credited.tolist()) == sorted(visits["target_id"][visits["observed"]].tolist())
 
 
+def test_a_digest_names_the_plan_of_the_recorded_observation(case, survey, replanned):
+    """Regression: a correction was refused after another plan with the same targets replaced the recorded plan."""
+    replan, again = replanned
+    digest, before = plan_id(again, 1), content(again.folder)["tiles/000/000001.fits"]
+    again.record(events(tile=12, date="2026-01-06", state="bad"))
+    near = case[0].coord.separation(case[2].coord[1]).deg < 0.2
+    used = {target for names in targets_of(again).values() for target in names}
+    again.record(events(target=[one for one in case[0].id[near].tolist() if one not in used], state="dropped"))
+    again = replan(9, again)
+    assert plan_id(again, 1) == digest
+    assert content(again.folder)["tiles/000/000001.fits"] != before
+    assert again.record(events(tile=12, date="2026-01-06", plan=digest))["n_events"] == 1
+
+
 def test_a_survey_that_is_not_planned_again_keeps_the_dates_of_its_plans(case, survey, replanned):
     replan, again = replanned
     for _ in range(2):

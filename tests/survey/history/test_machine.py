@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, initialize, invariant, rule, run_state_machine_as_test
 from living import N, content, differences, events, instrument, part, sha, targets, tiling
-from naive_history import NaiveHistory, statements
+from naive_history import NaiveHistory, digests, results_of, statements, visits_of
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, VisitRule
@@ -20,7 +20,12 @@ from rfpsurvey.survey._folder import Folder
 
 INSTRUMENT = instrument()
 TINY = tiling()
-ALLOCATORS = ["nearest", "repair"] * 8 + ["joint"]
+ALLOCATOR = st.sampled_from(["nearest", "repair"] * 8 + ["joint"])
+KINDS = st.sampled_from(["none", "none", "single", "several"])
+LATE = st.sampled_from([None, -1, 1, 0, -1, -2])
+"""Days after the last plan at which an observation was made that is recorded now; None for the present day."""
+DIGEST = st.none() | st.none() | st.integers(0, 4)
+LISTED = st.sampled_from(["positioner", "target", "all targets"])
 FRACTIONS = {"done": 1.0, "partly": 0.5, "bad": 0.0}
 
 
@@ -36,26 +41,23 @@ def date_of(day):
 class History(RuleBasedStateMachine):
     """A survey in a folder, and everything that was recorded in a second implementation."""
 
-    @initialize(
-        seed=st.integers(0, 9), kinds=st.booleans(), allocator=st.sampled_from(["nearest", "repair"] * 8 + ["joint"])
-    )
+    @initialize(seed=st.integers(0, 9), kinds=KINDS, allocator=ALLOCATOR)
     def begin(self, seed, kinds, allocator):
         self.home = Path(tempfile.mkdtemp())
         self.folder = self.home / "survey"
-        self.sky = targets(seed, kinds=kinds)
-        requirements = ["standard=1", "sky=1"] if kinds else []
+        self.sky = targets(seed, kinds=kinds == "single", roles=kinds == "several")
+        requirements = [] if kinds == "none" else ["standard=1", "sky=1"]
         self.allocator = rs.AllocationOptions(allocator, requirements=requirements) if allocator != "joint" else "joint"
         self.survey = self.plan()
         self.naive = NaiveHistory()
         self.day, self.planned_day = 1, 0
         self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
-        self.tables, self.applied = [], set()
+        self.tables, self.applied, self.unplanned = [], set(), set()
         self.plans = {name: (part(self.folder, row), "") for row, name in enumerate(self.names)}
-        self.unplanned, self.frozen = set(), {}
+        self.all_plans = {name: [plan] for name, (plan, _) in self.plans.items()}
         self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
-        self.kind = dict.fromkeys(self.visits, "science")
-        if kinds:
-            self.kind = dict(zip(self.sky.id.tolist(), self.sky.kind.tolist(), strict=True))
+        kind = [["science"]] * N if self.sky.kind is None else [one.split("+") for one in self.sky.kind.tolist()]
+        self.roles = dict(zip(self.sky.id.tolist(), kind, strict=True))
         self.dropped, self.n_added = set(), 0
 
     def teardown(self):
@@ -86,66 +88,73 @@ class History(RuleBasedStateMachine):
     @rule(
         tile=st.integers(0, 9),
         state=st.sampled_from(["done", "done", "partly", "bad"]),
-        late=st.booleans(),
+        late=LATE,
         fails=st.lists(st.integers(0, 6), max_size=3),
-        by_target=st.booleans(),
+        listed=LISTED,
         by_fraction=st.booleans(),
+        digest=DIGEST,
         order=st.randoms(use_true_random=False),
     )
-    def observe(self, tile, state, late, fails, by_target, by_fraction, order):
+    def observe(self, tile, state, late, fails, listed, by_fraction, digest, order):
         name, self.day = self.names[tile % len(self.names)], self.day + 1
-        date = date_of(self.planned_day + 1 if late else self.day)
-        self.observe_on(name, date, state, fails, by_target, by_fraction, order)
+        self.observe_on(name, self.date(late), state, fails, listed, by_fraction, order, digest)
 
     @rule(
         number=st.integers(0, 20),
         state=st.sampled_from(["done", "done", "partly", "bad"]),
         fails=st.lists(st.integers(0, 6), max_size=3),
+        digest=DIGEST,
         order=st.randoms(use_true_random=False),
     )
-    def correct(self, number, state, fails, order):
+    def correct(self, number, state, fails, digest, order):
         """Record another result of an earlier observation."""
         known = self.naive.observations()
         if known:
             one = known[number % len(known)]
-            self.observe_on(one.tile, one.date, state, fails, False, False, order, good=fails[1:])
+            self.observe_on(one.tile, one.date, state, fails, "positioner", False, order, digest, good=fails[1:])
 
     @rule(number=st.integers(0, 40), order=st.randoms(use_true_random=False))
     def record_again(self, number, order):
         """Record an old table once more, also after it was corrected, canceled, or planned again."""
         if self.tables:
-            name, date, state, rows, by_fraction, failed, good = self.tables[number % len(self.tables)]
-            rows = [*rows]
-            order.shuffle(rows)
-            self.send(name, date, state, rows, by_fraction, failed, good)
+            name, date, state, rows, by_fraction = self.tables[number % len(self.tables)]
+            self.send(name, date, state, order.sample(rows, len(rows)), by_fraction)
 
-    def plan_for(self, name, date):
-        """Return the plan with which a tile was observed on a date; empty if the tile has no plan."""
-        old = [one for one in self.naive.of(name) if one.date == date]
-        return old[0].plan if old else b"" if name in self.unplanned else part(self.folder, self.names.index(name))
+    def date(self, late):
+        """Return the present date, or a date some days after the day on which the survey was planned."""
+        return date_of(self.day if late is None else min(self.day, max(1, self.planned_day + late)))
 
-    def observe_on(self, name, date, state, fails, by_target, by_fraction, order, good=()):
+    def plan_for(self, name, date, digest=""):
+        """Return the plan with which a tile was observed on a date; empty if there is none with this digest."""
+        present = b"" if name in self.unplanned else part(self.folder, self.names.index(name))
+        return self.naive.plan(name, date, present, digest)
+
+    def observe_on(self, name, date, state, fails, listed, by_fraction, order, digest=None, good=()):
         """Record an observation; of the visits that failed, some are recorded as good instead."""
         rows = [{"tile": name, "date": date}]
         rows[0].update({"fraction": FRACTIONS[state]} if by_fraction else {"state": state})
-        plan, failed = self.plan_for(name, date), {}
-        if plan:
-            visits = rs._io.read_fits_bytes(plan, "plan")[0]
-            for k in {k % len(visits) for k in fails} if len(visits) else ():
-                is_good = k in {k % len(visits) for k in good}
-                failed[str(visits["positioner"][k])] = is_good
-                key = "target" if by_target else "positioner"
-                value = str(visits["target_id" if by_target else "positioner"][k])
-                rows.append({"tile": name, "date": date, key: value, **({"good": is_good} if good else {})})
-        order.shuffle(rows)
-        names = [one for one, is_good in failed.items() if not is_good]
-        self.send(name, date, state, rows, by_fraction, names, [*{*failed} - {*names}])
+        if digest is not None:  # the digest of a plan that this tile has or had, or another text
+            texts = [text for plan in self.all_plans.get(name, [])[::-1] for text in digests(plan)] + [
+                "0123456789abcdef"
+            ]
+            rows[0]["plan"] = texts[digest % len(texts)]
+        visits = visits_of(self.plan_for(name, date, rows[0].get("plan", "")) or self.plan_for(name, date))
+        failed, good_rows = ({k % len(visits) for k in numbers if visits} for numbers in (fails, good))
+        for k in range(len(visits)) if listed == "all targets" else failed:
+            key = {"tile": name, "date": date}
+            key |= {"positioner": visits[k][1]} if listed == "positioner" else {"target": str(visits[k][0])}
+            result = {"good": k not in failed - good_rows} if good or listed == "all targets" else {}
+            rows.append(key | result)
+        self.send(name, date, state, order.sample(rows, len(rows)), by_fraction)
 
-    def is_accepted(self, name, date, state, failed=(), fraction=1.0, good=()):
-        """Return whether an observation is later than the plan, or corrects or repeats another one."""
-        before, plan = self.naive.of(name), self.plan_for(name, date)
+    def is_accepted(self, name, date, state, failed=(), fraction=1.0, good=(), digest="", stated=()):
+        """Return whether an observation is later than its plan, states this plan, or corrects or repeats another one.
+
+        ``stated`` contains the identifiers of the targets that the table names.
+        """
+        before, plan = self.naive.of(name), self.plan_for(name, date, digest)
         done = [one for one in before if one.state == "done" and one.date != date]
-        if plan and {*failed, *good} - {*rs._io.read_fits_bytes(plan, "plan")[0]["positioner"].astype(str)}:
+        if not plan or None in {*failed, *good}:
             return False  # the tile has another plan than when the table was written
         if any(one.date == date for one in before):
             known = self.naive.is_known(name, date, statements(state, failed, fraction, good))
@@ -153,13 +162,14 @@ class History(RuleBasedStateMachine):
         applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
         used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
         is_later = used or date > max(applied, default="")
-        return bool(plan) and not done and is_later and date >= self.plans[name][1]
+        is_later &= date >= self.plans.get(name, ("", ""))[1] or {str(one[0]) for one in visits_of(plan)} <= {*stated}
+        return not done and bool(is_later or digest)
 
-    @rule(tiles=st.lists(st.integers(0, 9), min_size=2, max_size=3), late=st.booleans())
+    @rule(tiles=st.lists(st.integers(0, 9), min_size=2, max_size=3), late=LATE)
     def observe_a_night(self, tiles, late):
         """Observe several tiles in the order of the table, which determines the last visits."""
         self.day += 1
-        date = date_of(self.planned_day + 1 if late else self.day)
+        date = self.date(late)
         names = [*dict.fromkeys(self.names[tile % len(self.names)] for tile in tiles)]
         plans = [self.plan_for(name, date) for name in names]
         accepted = all(self.is_accepted(name, date, "done") for name in names)
@@ -167,15 +177,19 @@ class History(RuleBasedStateMachine):
             for name, plan in zip(names, plans, strict=True):
                 self.naive.observe(name, date, "done", plan)
 
-    def send(self, name, date, state, rows, by_fraction, failed, good):
+    def send(self, name, date, state, rows, by_fraction):
         """Record rows, which may be refused."""
-        fraction, plan = FRACTIONS[state] if by_fraction else 1.0, self.plan_for(name, date)
-        accepted = self.is_accepted(name, date, state, failed, fraction, good)
+        fraction = FRACTIONS[state] if by_fraction else 1.0
+        digest = max(row.get("plan", "") for row in rows)
+        plan = self.plan_for(name, date, digest)
+        failed, good = results_of(rows, plan)
+        stated = {row.get("target") for row in rows}
+        accepted = self.is_accepted(name, date, state, failed, fraction, good, digest, stated)
         defaults = {"fraction": 1.0, "good": True}
         columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
         if self.record(events(**columns), accepted):
             self.naive.observe(name, date, state, plan, failed, fraction, good)
-            self.tables.append((name, date, state, rows, by_fraction, failed, good))
+            self.tables.append((name, date, state, rows, by_fraction))
 
     @rule(tile=st.integers(0, 9))
     def cancel(self, tile):
@@ -213,7 +227,10 @@ class History(RuleBasedStateMachine):
             self.n_added += len(chosen)
             table = events(target=ids, ra=[119.8 + k / 150 for k in chosen], dec=30.05, priority=2, visits=2)
             self.visits |= dict.fromkeys(ids, 2)
-            self.kind |= dict.fromkeys(ids, "science")
+            roles = ("science",) if self.sky.kind is None else ("science", "standard")
+            self.roles |= dict.fromkeys(ids, roles)
+            if len(roles) > 1:
+                table["kind"] = "+".join(roles)
         elif what == 1:
             table = events(target=ids, visits=chosen[0] % 4)
             self.visits |= dict.fromkeys(ids, chosen[0] % 4)
@@ -222,9 +239,10 @@ class History(RuleBasedStateMachine):
             self.dropped = self.dropped | {*ids} if what == 2 else self.dropped - {*ids}
         self.record(table, True)
 
-    @rule(after=st.none() | st.integers(0, 6), beside=st.booleans())
-    def replan(self, after, beside):
-        """Plan the rest; after some files, the plan is interrupted and continued."""
+    @rule(after=st.none() | st.integers(0, 6), beside=st.booleans(), days=st.integers(0, 3))
+    def replan(self, after, beside, days):
+        """Plan the rest after some days; after some files, the plan is interrupted and continued."""
+        self.day += days
         state = SurveyState.read(self.folder, self.sky)
         if after is not None:
             put, calls = Folder.put_part, []
@@ -249,12 +267,25 @@ class History(RuleBasedStateMachine):
         for row, name in enumerate(self.names):
             if name not in self.unplanned and self.plans.get(name, ("",))[0] != part(self.folder, row):
                 self.plans[name] = part(self.folder, row), date_of(self.day)
+                self.all_plans.setdefault(name, []).append(self.plans[name][0])
         self.applied = {(one.tile, one.date, one.plan) for word, one in self.naive.log if word == "observe"}
         self.check_plan()
 
     @rule()
     def replan_undisturbed(self):
-        self.replan(None, False)
+        self.replan(None, False, 0)
+
+    @rule(tile=st.integers(0, 9), late=LATE, listed=LISTED, digest=DIGEST, order=st.randoms(use_true_random=False))
+    def change_and_observe(self, tile, late, listed, digest, order):
+        """Drop targets of a tile, plan again, and record an observation before this day, without and with its plan."""
+        names = [name for name in self.names if name not in self.unplanned and self.naive.state_of(name) == "planned"]
+        if names:
+            name = names[tile % len(names)]
+            ids = [one[0] for one in visits_of(part(self.folder, self.names.index(name)))]
+            self.change([one - 1000 for one in ids[:2]] or [0], 2)
+            self.replan(None, False, 2)
+            self.observe_on(name, self.date(late), "done", [0, 1], "positioner", False, order)
+            self.observe_on(name, self.date(late), "done", [0, 1], listed, False, order, digest)
 
     def check_plan(self):
         survey, counts = self.survey, self.naive.counts()
@@ -267,12 +298,12 @@ class History(RuleBasedStateMachine):
         made = {key: one["made"] for key, one in counts.items()}
         planned = {}
         n_observed = np.zeros(len(self.names), dtype=int)
-        for name in self.names:
+        for row, name in enumerate(self.names):
             if self.naive.state_of(name) == "done":
                 continue
-            for one in survey.tile(name):
-                if one["observed"] and one["target_row"] >= 0 and self.kind[int(one["target_id"])] == "science":
-                    planned[int(one["target_id"])] = planned.get(int(one["target_id"]), 0) + 1
+            for target, _, is_free, roles in visits_of(part(self.folder, row)) if name not in self.unplanned else []:
+                if is_free and "science" in roles:
+                    planned[target] = planned.get(target, 0) + 1
         for row, name in enumerate(self.names):
             for one in self.naive.of(name):
                 if one.state == "done":
@@ -286,7 +317,7 @@ class History(RuleBasedStateMachine):
             *(survey.outcomes[name].tolist() for name in ("target_id", "requested", "observed")), strict=True
         ):
             own = made.get(target, 0)
-            if self.kind[target] != "science":
+            if "science" not in self.roles[target]:
                 assert observed == 0
                 continue
             assert requested == (min(own, self.visits[target]) if target in self.dropped else self.visits[target])
@@ -336,7 +367,7 @@ class History(RuleBasedStateMachine):
             wanted = self.visits[target]
             if target in self.dropped or (retries is not None and own["failed"] > retries):
                 wanted = min(wanted, own["made"])
-            if self.kind[target] != "science":
+            if "science" not in self.roles[target]:
                 own, wanted = nobody, 0
             assert found == [*(own[name] for name in nobody), wanted, max(wanted - own["made"], 0)], target
 

@@ -98,6 +98,19 @@ TILES = [
 ]
 
 
+@pytest.mark.parametrize("name", ["id", "FIBER", "fiber_id", "robotId", "catalogid", "LOCATION", "petal"])
+def test_a_column_that_states_a_part_of_a_tile_is_not_ignored(survey, name):
+    """A failed visit in a column ``id`` was recorded as a failure of the whole tile."""
+    for table, tile in ((events(tile=11, good=0, **{name: 1}), None), (events(good=0, **{name: 1}), 11)):
+        refuse(survey, table, f"must have a column target or positioner, got the column '{name}'", tile=tile)
+    visits = survey.tile(11)
+    target, positioner = visits["target_id"][0], visits["positioner"][0]
+    for role, value in (("target", target), ("positioner", positioner)):
+        table = events(tile=[11, 11], good=[True, False], date="2026-01-02", **{name: ["", str(value)]})
+        found = survey.record(table, columns={role: name}, dry_run=True)
+        assert found["changes"] == {"tiles observed": ["11"], "failed visits": [f"11/{positioner}"]}
+
+
 @pytest.mark.parametrize(("table", "sentence"), TILES, ids=[sentence[-40:] for _, sentence in TILES])
 def test_tables_of_tiles(survey, table, sentence):
     refuse(survey, table, sentence)

@@ -1,0 +1,244 @@
+"""Plots of surveys: completeness, selection probabilities, and status."""
+
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from matplotlib.axes import Axes
+from matplotlib.dates import ConciseDateFormatter, date2num
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from rfpsurvey.errors import InputTypeError, number_of
+from rfpsurvey.plot._axes import check_columns, legend_below, legend_line, new_axes, new_figure, new_grid
+from rfpsurvey.plot._classes import stacked_bars
+from rfpsurvey.plot._sky import plot_tiling, radius_of
+from rfpsurvey.plot._sky_map import is_wide
+from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, LEVELS, MARKERS, OUTLINE, PATROL, SERIES
+from rfpsurvey.selection import SelectionProbabilities
+from rfpsurvey.survey import Survey
+
+
+def plot_completeness(survey: Survey, *, ax: Axes | None = None, **kwargs: object) -> Axes:
+    """Plot the completeness of a survey against the number of tiles, with a marker for each priority after each pass.
+
+    Parameters
+    ----------
+    survey : Survey
+        Survey to plot.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw on; by default, a new figure is created.
+    **kwargs
+        Passed to ``Axes.plot`` for the line of all visits, for example ``linewidth``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes.
+
+    Raises
+    ------
+    InputError
+        If ``survey`` is not a survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("poisson", SkyCoord("6h20m +23d"), 1 * u.deg, density=500 / u.deg**2, rng=1)
+    >>> survey = rs.plan_survey(sky, "moons", SkyCoord([94.9, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> rs.plot.plot_completeness(survey).get_xlabel()
+    'tiles'
+    """
+    if not isinstance(survey, Survey):
+        raise InputTypeError(f"survey must be a Survey, got {type(survey).__name__}")
+    ax = new_axes(7, 4.5) if ax is None else ax
+    tiles, after = survey.tiles, survey.completeness
+    if "category" in after.colnames:
+        after = after[after["category"] == "all"]
+    order = np.lexsort((np.arange(len(tiles)), tiles["round"]))
+    share = np.cumsum(tiles["n_observed"][order]) / max(survey.summary["n_visits_requested"], 1)
+    ax.plot(np.arange(len(tiles) + 1), np.append(0, share), **{"color": "k", "label": "all visits", **kwargs})
+    classes = [name for name in dict.fromkeys(after["priority"]) if name != "all"]
+    for k, name in enumerate(classes):
+        rows = after["priority"] == name
+        style = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % len(MARKERS)], "ls": ":", "clip_on": False}
+        ax.plot(after["n_tiles"][rows], after["completeness"][rows], label=f"priority {name}", **style)
+    every = after["priority"] == "all"
+    complete = after["n_complete"][every] / np.maximum(after["n_targets"][every], 1)
+    ax.plot(after["n_tiles"][every], complete, "kX", clip_on=False, label="fraction of complete targets")
+    for number, end in zip(after["pass"][every], after["n_tiles"][every], strict=True):
+        ax.axvline(end, color="0.8", lw=0.8, zorder=0)
+        style = {"rotation": 90, "ha": "right", "va": "bottom", "fontsize": "x-small", "color": "0.4"}
+        ax.annotate(f"pass {number}", (end, 0.01), **style)
+    ax.set(xlim=(0, 1.03 * len(tiles)), ylim=(0, 1.02), xlabel="tiles", ylabel="completeness")
+    ax.legend(fontsize="small", loc="best")
+    return ax
+
+
+def draw_survey(survey: Survey) -> Figure:
+    """Return a figure with two panels: a map of the tiles, colored by completeness, and the completeness curve."""
+    wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))
+    figure = new_figure(14, 4.8, w_pad=0.15, h_pad=0.1)
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
+    plot_tiling(survey, ax=figure.add_subplot(left, projection="aitoff" if wide else None))
+    plot_completeness(survey, ax=figure.add_subplot(right))
+    return figure
+
+
+N_BINS = 20
+
+
+def plot_selection(found: SelectionProbabilities, *, ax: Axes | None = None, **kwargs: object) -> Axes:
+    """Plot a histogram of the probabilities with which the targets of a survey are observed.
+
+    The colors of the bars show the number of tiles in which at least one positioner reaches the target. Targets that no
+    tile reaches are not drawn.
+
+    Parameters
+    ----------
+    found : SelectionProbabilities
+        Selection probabilities to plot.
+    ax : matplotlib.axes.Axes, optional
+        Axes to draw on; by default, a new figure is created.
+    **kwargs
+        Passed to ``Axes.bar``, for example ``linewidth``.
+
+    Returns
+    -------
+    matplotlib.axes.Axes
+        The axes. The title states the numbers of targets that all realizations and that no realization observed.
+
+    Raises
+    ------
+    InputError
+        If ``found`` does not contain selection probabilities.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> found = rs.selection_probabilities(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), n_realizations=64)
+    >>> rs.plot.plot_selection(found).get_xlabel()
+    'selection probability'
+    """
+    if not isinstance(found, SelectionProbabilities):
+        raise InputTypeError(f"found must be SelectionProbabilities, got {type(found).__name__}")
+    ax = new_axes(7, 4.5) if ax is None else ax
+    asked = (found.requested > 0) & ~found.unreachable
+    bins = np.minimum((found.probability[asked] * N_BINS).astype(int), N_BINS - 1)
+    level = np.minimum(found.n_tiles[asked], len(LEVELS) - 1).astype(int)
+    x, below, handles = (np.arange(N_BINS) + 0.5) / N_BINS, np.zeros(N_BINS), []
+    for k in np.unique(level).tolist():
+        number = np.bincount(bins[level == k], minlength=N_BINS)
+        label = f"{k} or more tiles" if k == len(LEVELS) - 1 else number_of(k, "tile")
+        style = {"color": LEVELS[k], "edgecolor": OUTLINE, "linewidth": 0.5, **kwargs}
+        ax.bar(x, number, 1 / N_BINS, bottom=below, **style)
+        handles.append(Patch(facecolor=LEVELS[k], edgecolor=OUTLINE, linewidth=0.5, label=f"{label}: {number.sum()}"))
+        below += number
+    s = found.summary
+    title = f"{number_of(s['n_targets'], 'target')}, {number_of(s['n_realizations'], 'realization')}: "
+    title += f"{s['n_always_observed']} always observed, {s['n_never_observed']} never"
+    title += f" ({s['n_unreachable']} in reach of no tile, not drawn)" if s["n_unreachable"] else ""
+    highest = 1.05 * max(below.max(), 1)
+    ax.set(xlim=(0, 1), ylim=(0, highest), xlabel="selection probability", ylabel="number of targets")
+    ax.set_title(title, fontsize="small")
+    legend_below(ax, handles, title="number of tiles that reach the target", title_fontsize="small")
+    return ax
+
+
+PIECES = {
+    "n_observed": ("observed", {"color": ARM}),
+    "n_planned": ("planned", {"color": PATROL}),
+    "n_not_assigned": ("in reach, not assigned", {"color": FADED, "alpha": 0.5}),
+    "n_lost": ("lost to a collision", {"color": COLLISION, "hatch": HATCH}),
+    "n_impossible": ("out of reach or excluded", {"color": "white", "edgecolor": "0.5"}),
+}
+"""Label and style of each part of the bars."""
+MOST_ROWS, MOST_CLASSES = 16, 6
+
+
+def plot_survey_status(status: QTable, *, axes: "np.ndarray | None" = None, **kwargs: object) -> np.ndarray:
+    """Plot the observed tiles and visits by date, and the visits of each class of targets.
+
+    Parameters
+    ----------
+    status : QTable
+        Table of `rfpsurvey.survey.survey_status`.
+    axes : array_like of matplotlib.axes.Axes, shape (2,), optional
+        Axes to draw on; by default, a new figure is created.
+    **kwargs
+        Passed to ``Axes.barh`` for the bars of the classes, for example ``height``.
+
+    Returns
+    -------
+    ndarray of matplotlib.axes.Axes, shape (2,)
+        The axes: progress by date, and visits of each class.
+
+    Raises
+    ------
+    InputError
+        If the table is not a status of a survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> from tempfile import TemporaryDirectory
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
+    ...     status = rs.survey.survey_status(survey, survey.state(sky))
+    >>> rs.plot.plot_survey_status(status)[0].get_ylabel()
+    'visits'
+    """
+    check_columns(status, {"priority", "n_requested", *PIECES}, "survey_status")
+    axes = new_grid(1, 2, (13, 4.6))[1][0] if axes is None else np.asarray(axes)
+    _draw_progress(axes[0], status)
+    _draw_classes(axes[1], status, kwargs)
+    return axes
+
+
+def _draw_progress(ax: Axes, status: QTable) -> None:
+    """Draw the numbers of observed visits and tiles up to each date."""
+    progress = status.meta["progress"]
+    dates = [one for one in progress["date"] if one]
+    first = len(progress["date"]) - len(dates)
+    x = date2num(np.array(dates, dtype="datetime64[D]")) if dates else np.array([])
+    handles = []
+    for k, (name, values) in enumerate(list(progress["n_observed"].items())[: 1 + MOST_CLASSES]):
+        look = {"color": "k", "marker": "."} if k == 0 else {"ls": ":", "color": SERIES[(k - 1) % len(SERIES)]}
+        look |= {} if k == 0 else {"marker": MARKERS[(k - 1) % len(MARKERS)], "markersize": 4}
+        label = "all visits" if k == 0 else f"priority {name}"
+        ax.plot(x, values[first:], **look)
+        handles.append(legend_line(label, **look))
+    tiles = ax.twinx()
+    tiles.step(x, progress["n_tiles"][first:], where="post", color="0.6", zorder=0)
+    handles.append(legend_line("tiles (right axis)", color="0.6"))
+    total = sum(n for one in status.meta["tiles"] for state, n in one.items() if state not in ("pass", "dropped"))
+    tiles.set(ylim=(0, 1.03 * max(total, 1)), ylabel="tiles")
+    tiles.yaxis.set_major_locator(MaxNLocator(integer=True))
+    ax.set(ylim=(0, 1.03 * max(int(status["n_requested"][0]), 1)), ylabel="visits", xlabel="date")
+    if not dates:
+        ax.set_xticks([])
+        ax.annotate("no observation with a date", (0.5, 0.5), xycoords="axes fraction", ha="center", color="0.4")
+    else:
+        locator = MaxNLocator(6, integer=True)  # whole days
+        ax.xaxis.set_major_locator(locator)
+        ax.xaxis.set_major_formatter(ConciseDateFormatter(locator))
+        ax.set_xlim(x[0] - 1, x[-1] + 1)
+    legend_below(ax, handles, columns=4)
+
+
+def _draw_classes(ax: Axes, status: QTable, kwargs: dict) -> None:
+    """Draw a bar for each class: the fractions of its visits that are observed, planned, and neither."""
+    rows = status[:MOST_ROWS]
+    pieces = tuple((np.asarray(rows[name], float), *look) for name, look in PIECES.items())
+    wanted, observed = np.asarray(rows["n_requested"]), np.asarray(rows["n_observed"])
+    label, left_out = "fraction of the requested visits", len(status) - len(rows)
+    y = -np.arange(len(rows), dtype=float)
+    stacked_bars(ax, y, rows, wanted, observed, pieces, kwargs, label=label, left_out=left_out)
