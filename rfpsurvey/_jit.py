@@ -12,7 +12,7 @@ import os
 import secrets
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 
 import numba
@@ -39,15 +39,31 @@ def kernel(function: Callable) -> Callable:
     No machine code is stored if the environment variable ``RFPSURVEY_CACHE`` is ``0``, or if there is no
     writable folder for the cache. Division by zero gives infinity or NaN, as in NumPy.
     """
-    if os.environ.get("RFPSURVEY_CACHE") != "0":
+    dispatcher = numba.njit(**_OPTIONS)(function)
+    if os.environ.get("RFPSURVEY_CACHE") != "0" and hasattr(dispatcher, "_cache"):  # NUMBA_DISABLE_JIT: the function
+        dispatcher._cache = _Cache(function)
+    return dispatcher
+
+
+class _Cache:
+    """The on-disk cache of a kernel, opened when the kernel is first called: 119 caches are a sixth of the import."""
+
+    def __init__(self, function: Callable):
+        self._function = function
+
+    @cached_property
+    def _opened(self):
         try:
-            dispatcher = numba.njit(cache=True, **_OPTIONS)(function)
-            if hasattr(dispatcher, "_cache"):  # it is absent with NUMBA_DISABLE_JIT
-                _make_safe(dispatcher._cache._cache_file)
-            return dispatcher
+            from numba.core.caching import FunctionCache, NullCache
+
+            cache = FunctionCache(self._function)
+            _make_safe(cache._cache_file)
+            return cache
         except (RuntimeError, AttributeError):  # no folder is writable, or this version of numba has other internals
-            pass
-    return numba.njit(**_OPTIONS)(function)
+            return NullCache()
+
+    def __getattr__(self, name: str):
+        return getattr(self._opened, name)
 
 
 def _make_safe(file) -> None:

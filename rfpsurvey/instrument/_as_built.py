@@ -6,9 +6,11 @@ from typing import Self
 
 from astropy.time import Time
 
+from rfpsurvey._lazy import importer
 from rfpsurvey._readers import reading
-from rfpsurvey.instrument import _desi, _sdssv
-from rfpsurvey.instrument._pfs import find_pfs_files, read_pfs
+
+# the modules that read the files, which are imported on first use
+_module = importer("rfpsurvey.instrument", {"_desi": (), "_pfs": (), "_sdssv": ()})
 
 
 class AsBuilt:
@@ -17,12 +19,12 @@ class AsBuilt:
     @classmethod
     def _read_as_built(cls, path: Path, time: Time | str | None):
         """Return the instrument that files of an observatory describe, or None for any other file or folder."""
-        if _desi.recognizes(path):
+        if _module("_desi").recognizes(path):
             has_log = path.is_dir() and any(path.glob("desi-state_*"))
             return cls.from_desi(path, time=time if has_log else None)
-        if _sdssv.recognizes(path):
+        if _module("_sdssv").recognizes(path):
             return cls.from_sdssv(path)
-        files = find_pfs_files(path)
+        files = _module("_pfs").find_pfs_files(path)
         return None if files is None else cls.from_pfs(**files)
 
     @classmethod
@@ -74,7 +76,7 @@ class AsBuilt:
         ('as built', 5000)
         """
         with reading(path, "an instrument as built"):
-            return _desi.read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
+            return _module("_desi").read(cls.preset("desi"), path, state=state, exclusions=exclusions, time=time)
 
     @classmethod
     def from_pfs(
@@ -115,7 +117,7 @@ class AsBuilt:
             If a file is incomplete, lacks a column, or has values that are impossible for PFS.
         """
         with reading(dots, "an instrument as built"):
-            return read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
+            return _module("_pfs").read_pfs(cls.preset("pfs"), dots, fiducials, interference, cobras)
 
     @classmethod
     def from_sdssv(
@@ -157,4 +159,4 @@ class AsBuilt:
         ('sdss_apo', 'as built', 500)
         """
         with reading(folder, "an instrument as built"):
-            return _sdssv.read(cls.preset, folder, site=site, disabled=disabled)
+            return _module("_sdssv").read(cls.preset, folder, site=site, disabled=disabled)
