@@ -36,7 +36,7 @@ if __name__ == "__main__":
 
 COMMAND = """
 import os, sys, time
-from rfpsurvey._cli._groups import WorkerKeys
+from rfpsurvey.inputs._groups import WorkerKeys
 from rfpsurvey._cli._surveys import workers
 
 if __name__ == "__main__":

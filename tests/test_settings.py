@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rfpsurvey as rs
-from rfpsurvey._cli._keys import Key, keys_of
 from rfpsurvey._settings import Checked, Settings, help_texts, option, options_of
+from rfpsurvey.inputs._keys import Key, keys_of
 from rfpsurvey.observing._sites import SITES
 
 MM, S, UM = u.mm, u.s, u.um

@@ -1,20 +1,19 @@
 """Commands whose options are keys: the decorator of the functions of commands, and their record in plan files."""
 
-from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from collections.abc import Callable
 from inspect import Parameter, Signature
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from rfpsurvey import __version__
-from rfpsurvey._cli import _app, _main, _plan_file
-from rfpsurvey._cli._keys import Key, Part, add, build, keys_of
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _main
 from rfpsurvey._io import write_bytes
 from rfpsurvey._outputs import check_output
 from rfpsurvey._readers import is_number
 from rfpsurvey.errors import InputError
+from rfpsurvey.inputs import Given, Key, Part, add, build, keys_of
 
 SPELLINGS = {
     "instrument.name": "--instrument",
@@ -30,28 +29,6 @@ SPELLINGS = {
     "objectives": "--objective",
 }
 """Options of keys whose names are not the last part of the name of the key."""
-ABOUT_PATHS = "Paths are relative to the folder of this file."
-
-
-@dataclass(frozen=True)
-class Given:
-    """The values of the keys of a command that were given, from which a plan file can be written."""
-
-    command: str
-    keys: dict
-    values: dict
-
-    def to_toml(self, folder: Path | None, *, documented: bool = False) -> str:
-        """Return the text of a plan file in a folder."""
-        title = f"Run this file with: rfpsurvey {self.command} FILE\n# {ABOUT_PATHS}"
-        return _plan_file.to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
-
-    def record(self, folder: Path, tables: Collection[str] = ("options",), outputs: Collection[str] = ()) -> str:
-        """Return the text of a plan file with the values of all keys and the version (see `_plan_file.complete`)."""
-        values = _plan_file.complete(self.keys, self.values, tables, outputs)
-        text = Given(self.command, self.keys, values).to_toml(folder)
-        version = f"# rfpsurvey {__version__}; keys without a value have the default values of this version.\n"
-        return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
 
 
 class Command(_main.Command):
@@ -81,7 +58,7 @@ def _possible_keys(keys: dict[str, Key | Part], names: list[str], value: str = "
         is_entry = dict in key.kinds and "=" in value
         try:
             if value and not value.startswith("--") and bool not in key.kinds:
-                _plan_file.add_text(keys, {}, f"{name}{'.' if is_entry else '='}{value}", set())
+                inputs.add_text(keys, {}, f"{name}{'.' if is_entry else '='}{value}", set())
                 if key.texts_only(entry=is_entry) and is_number(value):
                     continue
         except InputError:
@@ -143,15 +120,15 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
     """Add the values of a plan file, of --set, and of all other options, which override each other in this order."""
     keys, values, earlier = given.keys, given.values, set[str]()
     word = typed.get("argument")
-    if typed.get("replan_") and word is not None and (folder := _plan_file.survey_folder(word)) is not None:
-        _plan_file.add_file(keys, values, folder / _plan_file.RECORD)
+    if typed.get("replan_") and word is not None and (folder := inputs.survey_folder(word)) is not None:
+        inputs.add_file(keys, values, folder / inputs.RECORD)
         add(keys, values, "output.folder", word)  # the folder may have been moved or copied
         word = None
-    elif "write_plan" in typed and word is not None and _plan_file.is_plan_file(word):
-        _plan_file.add_file(keys, values, Path(word))
+    elif "write_plan" in typed and word is not None and inputs.is_plan_file(word):
+        inputs.add_file(keys, values, Path(word))
         word = None
     for text in typed["set"] or []:
-        _plan_file.add_text(keys, values, text, earlier)
+        inputs.add_text(keys, values, text, earlier)
     if word not in (None, []):
         add(keys, values, argument, word)
     for name, option in spelled.items():
@@ -162,7 +139,7 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
             value = pairs(value, option)
         for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
             if isinstance(one, str):
-                _plan_file.add_text(keys, values, f"{name}={one}", earlier)
+                inputs.add_text(keys, values, f"{name}={one}", earlier)
             else:
                 add(keys, values, name, one)
 
@@ -195,7 +172,7 @@ def _parameter(name: str, annotation: Any, default: object, info: Any) -> Parame
 
 def _help(key: Key) -> str:
     """Return the help of a key, with its default value."""
-    shown = _plan_file.default_text(key).strip('"')
+    shown = inputs.default_text(key).strip('"')
     return key.text if shown in ("...", "false") else f"{key.text} By default, {shown}."
 
 

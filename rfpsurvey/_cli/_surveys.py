@@ -5,43 +5,22 @@ import sys
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
 from time import perf_counter
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups
-from rfpsurvey._cli._plan_file import RECORD
+from rfpsurvey import inputs
 from rfpsurvey._cli._print import files, print_facts, print_model, print_table, print_text
 from rfpsurvey._cli._process import set_up_worker, tell_if_interrupted
 from rfpsurvey._executors import end_with_parent, released
-from rfpsurvey._io import write_bytes
-from rfpsurvey.errors import warn, warn_no_effect
-from rfpsurvey.survey import Cadences, SurveyState, VisitRule, survey_facts
-from rfpsurvey.tiling import warn_of_targets
+from rfpsurvey.survey import survey_facts
 
 MANY = 0.05  # the collision rate of assigned arms above which a hint is printed
 
 
 LITTLE = 0.001  # the fraction of visits below which the text before a search advises against a long search
-
-
-def targets_of(keys, model: "rs.Instrument"):
-    """Read the catalog of a survey from a file or a folder of partitions, with the columns that rules and cadences use.
-
-    By default, make a synthetic catalog wider than a field. All commands that read the catalog of a survey call this
-    function, so that they have the same columns.
-    """
-    catalog = _app.with_columns_of_rules(keys.catalog, getattr(keys, "options", {}), model)
-    if getattr(keys, "cadences", None) is not None:
-        catalog = replace(catalog, keep=[*dict.fromkeys([*(catalog.keep or ()), "cadence"])])
-    if catalog.path is None:
-        _app.warn_without_catalog(catalog)
-        options = {"density": model.target_density, "rng": keys.rng}
-        return rs.synthetic_catalog(
-            "poisson", _app.parse_center(_app.DEFAULT_CENTER), 2 * model.field_radius, **options
-        )
-    return _app.read_catalog(catalog)
 
 
 def options_of(keys) -> dict:
@@ -58,52 +37,6 @@ def check_replan(keys) -> None:
             "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
             f"{folder or keys.catalog.path or 'no folder'}"
         )
-
-
-def visits_of(keys, targets) -> "SurveyState | VisitRule | Cadences | int | None":
-    """Return the parameter ``visits`` of `plan_survey`: the state of a survey, a rule, cadences or a number."""
-    if keys.cadences is not None:
-        if keys.rule or keys.catalog.visits is not None or keys.output.replan:
-            raise rs.InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
-        return Cadences(keys.cadences)
-    folder, visits, rule = keys.output.folder, keys.catalog.visits, VisitRule(**keys.rule)
-    for name in ("visits", "after_success"):
-        if visits and getattr(rule, name) is not None:
-            warn(f"rule.{name} replaces the number of visits of all targets ({visits})")
-    if keys.output.replan:
-        return SurveyState.read(folder, targets, rule=rule, visits=visits)
-    if not keys.rule:
-        return visits
-    return rule if visits is None or rule.visits is not None else replace(rule, visits=visits)
-
-
-def read_tiles(keys) -> "rs.Tiling | None":
-    """Read a table of tiles or centers, and print which columns have other names; without a file, return None."""
-    columns, units = keys.columns or {}, keys.units or {}
-    if keys.path is None:
-        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu, "select": keys.select}.items():
-            if value:
-                warn_no_effect(f"tiles.{name}", "without a table of tiles")
-        return None
-    tiling = rs.Tiling.read(keys.path, columns, units, keys.hdu, keys.select)
-    meta = tiling.table.meta
-    if any(role != name for role, name in meta["columns"].items()):
-        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
-        more = [f"; {name}: {meta[name]}" for name in ("omitted", "selected") if name in meta]
-        print_text(f"columns of tiles: {said}" + "".join(more))
-    return tiling
-
-
-def tiles_of(tiling: "rs.Tiling | None", targets, model: "rs.Instrument") -> "rs.Tiling":
-    """Return the given tiles; if no tiles are given, return tiles that cover the catalog twice."""
-    if tiling is not None:
-        warn_of_targets(tiling, len(targets))
-        return tiling
-    if isinstance(targets, rs.catalog.PartitionedCatalog):
-        raise rs.InputError(
-            "--tiles must be given for a partitioned catalog: make a table of tiles with rfpsurvey tile --region"
-        )
-    return rs.place_tiles(targets, model, passes=2)
 
 
 @contextmanager
@@ -183,7 +116,7 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print("visits and completeness after each pass:")
     print_table(survey.completeness)
     if s.get("collision_rate_assigned", s["collision_rate"]) > MANY:
-        print_text(f"many arms collide; these allocators avoid collisions: {_groups.AVOIDING}")
+        print_text(f"many arms collide; these allocators avoid collisions: {inputs.AVOIDING}")
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")
 
 
@@ -207,7 +140,7 @@ def _print_gain(state: dict) -> None:
     print(text, file=sys.stderr)
 
 
-def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options: dict, output, given) -> None:
+def run(executor, options: dict, output, given) -> None:
     """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
     is_joint = isinstance(options["allocator"], rs.JointOptions)
@@ -220,17 +153,14 @@ def run(targets, tiling: "rs.Tiling", model: "rs.Instrument", executor, options:
         else "no tiles were stored, because --folder was not given"
     )
     tell_if_interrupted(kept)
-    record = None if output.folder is None else output.folder / "survey.json"
     tables = ("options", "joint") if is_joint else ("options",)
-    keeps_plan = record is not None and record.is_file()  # the folder contains a survey, which can be another survey
-    if options["resume"] and record is not None and not keeps_plan:
+    if options["resume"] and output.folder is not None and not (output.folder / "survey.json").is_file():
         print(f"{output.folder} does not contain a survey; a new survey is planned", file=sys.stderr)
+    token = inputs.PLAN_FILE.set(partial(given.record, tables=tables, outputs=("output.folder",)))
     try:
-        survey = rs.plan_survey(targets, model, tiling, executor=executor, progress=True, **options)
-        keeps_plan = False
+        survey = rs.plan_survey(executor=executor, progress=True, **options)
     finally:
-        if record is not None and record.is_file() and not keeps_plan:
-            write_bytes(output.folder / RECORD, given.record(output.folder, tables, ("output.folder",)).encode())
+        inputs.PLAN_FILE.reset(token)
     seconds = perf_counter() - begin
     survey.provenance["plan_file"] = given.record(Path(), tables, ("output.folder",))
     with files(

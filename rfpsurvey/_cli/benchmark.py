@@ -8,7 +8,8 @@ from typing import Annotated
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _main, _print
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _main, _print
 from rfpsurvey._cli._command import command
 
 benchmark = typer.Typer(
@@ -31,14 +32,14 @@ OUTPUT = " rng output.plot output.report output.overwrite"
 
 
 @dataclass(frozen=True)
-class CollisionsOutputKeys(_groups.OutputKeys):
+class CollisionsOutputKeys(inputs.OutputKeys):
     """The files that the benchmark of collisions writes."""
 
     plot: Annotated[Path, PLOT] = Path("benchmark_collisions.png")
 
 
 @dataclass(frozen=True)
-class ProbabilityOutputKeys(_groups.OutputKeys):
+class ProbabilityOutputKeys(inputs.OutputKeys):
     """The files that the benchmark of probabilities writes."""
 
     plot: Annotated[Path, PLOT] = Path("benchmark_probability.png")
@@ -56,10 +57,10 @@ class CollisionsKeys:
         Maximum number of runs of each method.
     """
 
-    instrument: _groups.InstrumentKeys
+    instrument: inputs.InstrumentKeys
     methods: list[str] | None = None
     repeats: int = 15
-    rng: _groups.Seed = 0
+    rng: inputs.Seed = 0
     output: CollisionsOutputKeys
 
 
@@ -73,7 +74,7 @@ class BatchesKeys:
         Number of calls with the same settings; the median time is shown.
     """
 
-    instrument: _groups.InstrumentKeys
+    instrument: inputs.InstrumentKeys
     repeats: int = 5
 
 
@@ -87,9 +88,9 @@ class ProbabilityKeys:
         Number of runs with different random numbers, for each method and each number of iterations.
     """
 
-    instrument: _groups.InstrumentKeys
+    instrument: inputs.InstrumentKeys
     repeats: int = 30
-    rng: _groups.Seed = 0
+    rng: inputs.Seed = 0
     output: ProbabilityOutputKeys
 
 

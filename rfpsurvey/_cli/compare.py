@@ -8,12 +8,13 @@ from typing import Annotated
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print, _surveys
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print, _surveys
 from rfpsurvey._cli._command import command
-from rfpsurvey._cli._keys import Located
 from rfpsurvey._io import write_table
 from rfpsurvey.compare import COMPARED, parts_of
 from rfpsurvey.errors import listed
+from rfpsurvey.inputs import Located
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,21 +34,21 @@ class CompareKeys:
     """
 
     instruments: Annotated[list[str] | None, Located] = None
-    instrument: _groups.StateKeys
-    catalog: _groups.CatalogKeys
-    options: _groups.OptionsOnly
-    output: _groups.TableOutputKeys
-    center: _groups.Center = None
-    position_angle: _groups.PositionAngle = 0 * u.deg
-    epoch: _groups.Epoch = None
+    instrument: inputs.StateKeys
+    catalog: inputs.CatalogKeys
+    options: inputs.OptionsOnly
+    output: inputs.TableOutputKeys
+    center: inputs.Center = None
+    position_angle: inputs.PositionAngle = 0 * u.deg
+    epoch: inputs.Epoch = None
     targets_per_positioner: float | None = None
     density: float | None = None
     n_realizations: int | None = None
     allocators: Annotated[
         list[str] | None, f"Allocators to compare. By default, the allocators {listed(COMPARED)} are used."
     ] = None
-    rng: _groups.Seed = 0
-    workers: _groups.Workers = 1
+    rng: inputs.Seed = 0
+    workers: inputs.Workers = 1
 
 
 @command(
@@ -78,10 +79,10 @@ def compare(keys: CompareKeys) -> None:
         )
     if state.arm_model or state.margins:
         names = names or rs.available_instruments()
-    named = [_groups.InstrumentKeys(**vars(state), name=name) for name in names]
-    models = [_app.model_of(one, lambda: _app.time_of(None, keys.epoch)) for one in named]
+    named = [inputs.InstrumentKeys(**vars(state), name=name) for name in names]
+    models = [_app.model_of(one, lambda: inputs.time_of(None, keys.epoch)) for one in named]
     if keys.catalog.path is None:
-        _app.warn_without_catalog(keys.catalog)
+        inputs.warn_without_catalog(keys.catalog)
     with _surveys.workers(keys) as executor:
         table = rs.compare_instruments(
             "poisson" if keys.catalog.path is None else _app.read_catalog(keys.catalog),

@@ -5,7 +5,8 @@ from dataclasses import dataclass
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey.tile import north_of_date
 
@@ -20,16 +21,16 @@ class CompareAllocatorsKeys:
         Allocators to compare. By default, all allocators are compared.
     """
 
-    catalog: _groups.CatalogKeys
-    instrument: _groups.InstrumentKeys
-    options: _groups.OptionsOnly
-    output: _groups.TableOutputKeys
+    catalog: inputs.CatalogKeys
+    instrument: inputs.InstrumentKeys
+    options: inputs.OptionsOnly
+    output: inputs.TableOutputKeys
     allocators: list[str] | None = None
-    center: _groups.Center = None
-    position_angle: _groups.PositionAngle = 0 * u.deg
-    equinox: _groups.Equinox = None
-    epoch: _groups.Epoch = None
-    rng: _groups.Seed = 0
+    center: inputs.Center = None
+    position_angle: inputs.PositionAngle = 0 * u.deg
+    equinox: inputs.Equinox = None
+    epoch: inputs.Epoch = None
+    rng: inputs.Seed = 0
 
 
 @command(
@@ -50,7 +51,7 @@ def compare_allocators(keys: CompareAllocatorsKeys, _: Given) -> None:
         --allocator network_flow --allocator optimal
     """
     _app.check_outputs(keys.output, (keys.catalog.path, keys.instrument.name, keys.instrument.broken))
-    model = _app.model_of(keys.instrument, lambda: _app.time_of(None, keys.epoch))
+    model = _app.model_of(keys.instrument, lambda: inputs.time_of(None, keys.epoch))
     targets, field = _app.targets_and_center(keys.catalog, keys.center, model, keys.rng)
     with _app.seed_of(keys.catalog.path):
         table, plans = rs.compare_allocators(

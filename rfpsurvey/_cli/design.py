@@ -10,12 +10,13 @@ import numpy as np
 from astropy.table import vstack
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _process, _surveys
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _process, _surveys
 from rfpsurvey._cli._command import command
-from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._cli._print import files, print_text
 from rfpsurvey._readers import parse_number
 from rfpsurvey.design import AXES, LossOptions
+from rfpsurvey.inputs import Located, Part
 
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
@@ -24,7 +25,7 @@ COLUMNS = (*AXES, "collision_type", "coverage", "loss", "loss_error", "usable", 
 
 
 @dataclass(frozen=True)
-class DesignInstrumentKeys(_groups.StateTimeKeys):
+class DesignInstrumentKeys(inputs.StateTimeKeys):
     """The instrument around whose design a scan is made.
 
     Parameters
@@ -39,7 +40,7 @@ class DesignInstrumentKeys(_groups.StateTimeKeys):
 
 
 @dataclass(frozen=True)
-class DesignOutputKeys(_groups.OutputKeys):
+class DesignOutputKeys(inputs.OutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -94,9 +95,9 @@ class DesignKeys:
     clearance: str | None = None
     n_designs: int | None = None
     objectives: dict[str, str] | None = None
-    rng: _groups.Seed = 0
-    workers: _groups.Workers = 1
-    processes: _groups.Processes = False
+    rng: inputs.Seed = 0
+    workers: inputs.Workers = 1
+    processes: inputs.Processes = False
 
 
 @command(

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from rfpsurvey._cli import _app, _groups
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app
 from rfpsurvey._cli._command import command
-from rfpsurvey._cli._keys import Located
 from rfpsurvey._cli._print import print_text
 from rfpsurvey.errors import InputError
+from rfpsurvey.inputs import Located
 from rfpsurvey.instrument import Instrument, arm_classes, every_instrument, fact_texts
 
 
@@ -23,7 +24,7 @@ class InstrumentsKeys:
     """
 
     instruments: Annotated[list[str] | None, Located] = None
-    instrument: _groups.StateKeys
+    instrument: inputs.StateKeys
 
 
 @command(
@@ -43,7 +44,7 @@ def instruments(keys: InstrumentsKeys) -> None:
     names = keys.instruments or []
     if keys.instrument.broken is not None and len(names) != 1:
         raise InputError("--broken must be used with the name or path of one instrument")
-    models = [_app.model_of(_groups.InstrumentKeys(**vars(keys.instrument), name=name)) for name in names]
+    models = [_app.model_of(inputs.InstrumentKeys(**vars(keys.instrument), name=name)) for name in names]
     if not models:
         _print_list()
     elif len(models) == 1:

@@ -8,14 +8,15 @@ import astropy.units as u
 import typer
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print
 from rfpsurvey._cli._command import command
 from rfpsurvey.allocation import end_on_interrupt
 from rfpsurvey.tile import north_of_date
 
 
 @dataclass(frozen=True)
-class PlanOutputKeys(_groups.TableOutputKeys):
+class PlanOutputKeys(inputs.TableOutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -44,17 +45,17 @@ class PlanKeys:
         radial otherwise.
     """
 
-    catalog: _groups.CatalogKeys
-    instrument: _groups.InstrumentKeys
-    options: _groups.Options
-    conditions: _groups.Conditions
+    catalog: inputs.CatalogKeys
+    instrument: inputs.InstrumentKeys
+    options: inputs.Options
+    conditions: inputs.Conditions
     output: PlanOutputKeys
-    center: _groups.Center = None
-    position_angle: _groups.PositionAngle = 0 * u.deg
-    equinox: _groups.Equinox = None
-    epoch: _groups.Epoch = None
+    center: inputs.Center = None
+    position_angle: inputs.PositionAngle = 0 * u.deg
+    equinox: inputs.Equinox = None
+    epoch: inputs.Epoch = None
     projection: str | None = None
-    rng: _groups.Seed = 0
+    rng: inputs.Seed = 0
 
 
 @command(
@@ -84,12 +85,12 @@ def plan(keys: PlanKeys, given) -> None:
     rfpsurvey plan stars.fits --center "95 23" --write-plan plan.toml
     rfpsurvey plan plan.toml --output tile.fits
     """
-    conditions = _app.conditions_of(keys.conditions)
-    inputs = (keys.catalog.path, keys.instrument.name, keys.instrument.broken, keys.conditions.get("path"))
-    _app.check_outputs(keys.output, inputs)
+    conditions = inputs.conditions_of(keys.conditions)
+    paths = (keys.catalog.path, keys.instrument.name, keys.instrument.broken, keys.conditions.get("path"))
+    _app.check_outputs(keys.output, paths)
     _app.check_targets(keys.output)
-    model = _app.model_of(keys.instrument, lambda: _app.time_of(conditions, keys.epoch))
-    catalog = _app.with_columns_of_rules(keys.catalog, keys.options, model)
+    model = _app.model_of(keys.instrument, lambda: inputs.time_of(conditions, keys.epoch))
+    catalog = inputs.with_columns_of_rules(keys.catalog, keys.options, model)
     sky, field = _app.targets_and_center(catalog, keys.center, model, keys.rng)
     if field is None and keys.equinox is not None:
         field = sky.mean_direction

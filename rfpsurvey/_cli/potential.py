@@ -7,10 +7,12 @@ from time import perf_counter
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print, _process, _surveys
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print, _process, _surveys
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._outputs import check_output, check_separate
 from rfpsurvey.errors import number_of
+from rfpsurvey.survey import read_tiles, targets_of, tiles_of
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class PotentialOutputKeys:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PotentialKeys(_groups.WorkerKeys):
+class PotentialKeys(inputs.WorkerKeys):
     """The keys of the command.
 
     Parameters
@@ -40,13 +42,13 @@ class PotentialKeys(_groups.WorkerKeys):
         collision reach no point. Without a table of tiles, the tiles of the survey are used.
     """
 
-    catalog: _groups.CatalogKeys
-    instrument: _groups.InstrumentKeys
-    tiles: _groups.TilesKeys
+    catalog: inputs.CatalogKeys
+    instrument: inputs.InstrumentKeys
+    tiles: inputs.TilesKeys
     output: PotentialOutputKeys
     survey: Path | None = None
-    epoch: _groups.Epoch = None
-    rng: _groups.Seed = 0
+    epoch: inputs.Epoch = None
+    rng: inputs.Seed = 0
 
 
 @command(
@@ -73,10 +75,10 @@ def potential(keys: PotentialKeys, _: Given) -> None:
     if keys.survey is not None:
         survey = rs.Survey.read(keys.survey)
         tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
-    tiling = _surveys.read_tiles(tiles)
-    model = _app.model_of(keys.instrument, lambda: _app.time_of_tiles(tiling, keys.epoch, {}))
-    points = _surveys.targets_of(keys, model)
-    tiling = _surveys.tiles_of(tiling, points, model)
+    tiling = read_tiles(tiles, tell=_print.print_text)
+    model = _app.model_of(keys.instrument, lambda: inputs.time_of_tiles(tiling, keys.epoch, {}))
+    points = targets_of(keys, model, tell=_print.print_text)
+    tiling = tiles_of(tiling, points, model)
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
     begin = perf_counter()
     _process.tell_if_interrupted("no results were stored")

@@ -7,12 +7,13 @@ from pathlib import Path
 from typing import Annotated
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print
 from rfpsurvey._cli._command import command
-from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._executors import released
 from rfpsurvey.catalog import is_example
 from rfpsurvey.errors import listed
+from rfpsurvey.inputs import Located, Part
 from rfpsurvey.probability import METHODS, QUEUEING, Precision, RandomTargets
 
 
@@ -49,11 +50,11 @@ class ProbabilityKeys:
         failures are assumed to be independent.
     """
 
-    instrument: _groups.InstrumentKeys
+    instrument: inputs.InstrumentKeys
     targets: Annotated[dict, Part(RandomTargets, TargetsKeys)]
-    catalog: _groups.CatalogKeys
+    catalog: inputs.CatalogKeys
     precision: Annotated[dict, Part(Precision)]
-    output: _groups.TableOutputKeys
+    output: inputs.TableOutputKeys
     method: Annotated[
         str,
         f"Method: {listed(METHODS)}, a method of an installed package, or auto, which selects the fastest method with "
@@ -63,8 +64,8 @@ class ProbabilityKeys:
     allocator: str = QUEUEING
     density: str | None = None
     dynamic: float = 0.0
-    rng: _groups.Seed = 0
-    workers: _groups.Workers = 1
+    rng: inputs.Seed = 0
+    workers: inputs.Workers = 1
 
 
 @command(
@@ -99,7 +100,7 @@ def probability(keys: ProbabilityKeys) -> None:
 def _targets(catalog, kind: str = "uniform", **options):
     """Return random targets if ``kind`` is a kind of random targets; otherwise, read a catalog."""
     if not (Path(kind).suffix or is_example(kind)):
-        _app.warn_without_catalog(catalog)
+        inputs.warn_without_catalog(catalog)
         return RandomTargets(kind, **options)
     for name in options:
         raise rs.InputError(f"targets.{name} can be used only with random targets, but a catalog was given")

@@ -7,14 +7,15 @@ import astropy.units as u
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print
 from rfpsurvey._cli._command import Given, command
-from rfpsurvey._cli._keys import Located
+from rfpsurvey.inputs import Located
 from rfpsurvey.tile import north_of_date
 
 
 @dataclass(frozen=True)
-class AssignmentKeys(_groups.TableKeys):
+class AssignmentKeys(inputs.TableKeys):
     """The plan that is scored.
 
     Parameters
@@ -31,7 +32,7 @@ class AssignmentKeys(_groups.TableKeys):
 
 
 @dataclass(frozen=True)
-class ScoreInstrumentKeys(_groups.StateKeys):
+class ScoreInstrumentKeys(inputs.StateKeys):
     """The instrument of the plan.
 
     Parameters
@@ -64,12 +65,12 @@ class ScoreKeys:
 
     catalog: AssignmentKeys
     instrument: ScoreInstrumentKeys
-    options: _groups.ConstraintKeys
-    output: _groups.TableOutputKeys
+    options: inputs.ConstraintKeys
+    output: inputs.TableOutputKeys
     center: str | None = None
     position_angle: u.Quantity[u.deg] | None = None
-    equinox: _groups.Equinox = None
-    epoch: _groups.Epoch = None
+    equinox: inputs.Equinox = None
+    epoch: inputs.Epoch = None
     positions: str | None = None
     missing: str = "refuse"
     parked_obstacles: bool = True
@@ -122,4 +123,4 @@ def _time_of(table, epoch: object) -> Time | None:
     """Return the time of the observing conditions that a tile records or, without such a time, the epoch."""
     provenance = table.meta.get("provenance")
     recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
-    return _app.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)
+    return inputs.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)

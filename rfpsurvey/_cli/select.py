@@ -7,18 +7,19 @@ from time import perf_counter
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print, _process, _surveys
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print, _process, _surveys
 from rfpsurvey._cli._command import Given, command
-from rfpsurvey._cli._keys import build
-from rfpsurvey._cli.survey import SurveyKeys, state_of, values_of
+from rfpsurvey._cli.survey import values_of
 from rfpsurvey._outputs import check_separate
 from rfpsurvey._settings import option
+from rfpsurvey.inputs import build
 from rfpsurvey.selection import selection_facts
-from rfpsurvey.survey import JOINT
+from rfpsurvey.survey import JOINT, SurveyKeys, read_tiles, state_in, targets_of, tiles_of
 
 
 @dataclass(frozen=True)
-class SelectOutputKeys(_groups.OutputKeys):
+class SelectOutputKeys(inputs.OutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -40,7 +41,7 @@ class SelectOutputKeys(_groups.OutputKeys):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelectKeys(_groups.WorkerKeys):
+class SelectKeys(inputs.WorkerKeys):
     """The keys of the command.
 
     Parameters
@@ -49,16 +50,16 @@ class SelectKeys(_groups.WorkerKeys):
         Number of realizations. A multiple of 64 is best, since each integer of the output stores 64 realizations.
     """
 
-    catalog: _groups.SurveyCatalogKeys
-    instrument: _groups.InstrumentKeys
-    tiles: _groups.TilesKeys
-    options: _groups.Options
+    catalog: inputs.SurveyCatalogKeys
+    instrument: inputs.InstrumentKeys
+    tiles: inputs.TilesKeys
+    options: inputs.Options
     output: SelectOutputKeys
     n_realizations: int = option(128, low=1)
-    order: _groups.Order = "color"
-    epoch: _groups.Epoch = None
-    lost_in_collision: _groups.Lost = True
-    rng: _groups.Seed = 0
+    order: inputs.Order = "color"
+    epoch: inputs.Epoch = None
+    lost_in_collision: inputs.Lost = True
+    rng: inputs.Seed = 0
 
 
 @command(
@@ -101,16 +102,16 @@ def select(keys: SelectKeys, given: Given) -> None:
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
     check_separate([output, stored], paths)
     _app.check_outputs(keys.output, paths, (".fits",))
-    tiling = _surveys.read_tiles(keys.tiles)
-    model = _app.model_of(keys.instrument, lambda: _app.time_of_tiles(tiling, keys.epoch, {}))
-    targets = _surveys.targets_of(keys, model)
+    tiling = read_tiles(keys.tiles, tell=_print.print_text)
+    model = _app.model_of(keys.instrument, lambda: inputs.time_of_tiles(tiling, keys.epoch, {}))
+    targets = targets_of(keys, model, tell=_print.print_text)
     if survey is not None:
-        targets = state_of(place, replace(survey, catalog=keys.catalog), targets)
+        targets = state_in(place, catalog=targets)
     elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
     options = _surveys.options_of(keys) | {"allocator": rs.AllocationOptions(**keys.options)}
-    tiling = _surveys.tiles_of(tiling, targets if survey is None else targets.first, model)
-    tiling = tiling if survey is None else _app.tiles_under(tiling, survey.conditions)
+    tiling = tiles_of(tiling, targets if survey is None else targets.first, model)
+    tiling = tiling if survey is None else inputs.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")

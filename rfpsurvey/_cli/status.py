@@ -9,8 +9,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _main, _print
-from rfpsurvey._cli.survey import survey_and_state
-from rfpsurvey.survey import status_facts, survey_status
+from rfpsurvey.survey import state_in, status_facts, survey_status
 
 
 @_main.app.command(cls=_main.Command)
@@ -40,7 +39,7 @@ def status(
     """
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
-    survey, state = survey_and_state(folder, until)
+    survey, state = rs.Survey.read(folder), state_in(folder, tell=_print.print_text, until=until)
     found = survey_status(survey, state)
     with _print.files(
         outputs,

@@ -7,15 +7,17 @@ from typing import Annotated
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app, _groups, _print, _surveys
+from rfpsurvey import inputs
+from rfpsurvey._cli import _app, _print
 from rfpsurvey._cli._command import Given, command
 from rfpsurvey._methods import help_of
 from rfpsurvey.region import Region
+from rfpsurvey.survey import read_tiles
 from rfpsurvey.tiling import METHODS
 
 
 @dataclass(frozen=True)
-class CentersKeys(_groups.TableKeys):
+class CentersKeys(inputs.TableKeys):
     """The centers of tiles.
 
     Parameters
@@ -56,11 +58,11 @@ class TileKeys:
         target of the tile.
     """
 
-    catalog: _groups.SurveyCatalogKeys
-    instrument: _groups.InstrumentKeys
+    catalog: inputs.SurveyCatalogKeys
+    instrument: inputs.InstrumentKeys
     tiles: CentersKeys
-    options: _groups.Options
-    output: _groups.TableOutputKeys
+    options: inputs.Options
+    output: inputs.TableOutputKeys
     region: Region | None = None
     exclude: list[Region] | None = None
     method: Annotated[str, f"Method of placing tiles: {help_of(METHODS)}."] = "hexagonal"
@@ -69,8 +71,8 @@ class TileKeys:
     n_tiles: int | None = None
     fibers: int | None = None
     radius: u.Quantity[u.deg] | None = None
-    lost_in_collision: _groups.Lost = True
-    rng: _groups.Seed = 0
+    lost_in_collision: inputs.Lost = True
+    rng: inputs.Seed = 0
 
 
 @command(
@@ -102,7 +104,7 @@ def tile(keys: TileKeys, _: Given) -> None:
         field, _ = _app.targets_and_center(keys.catalog, None, model, keys.rng)
         field = field if inside is None else _targets_inside(field, inside)
     else:
-        _app.warn_without_catalog(keys.catalog)
+        inputs.warn_without_catalog(keys.catalog)
     by_fibers = keys.fibers or keys.radius is not None
     if keys.instrument.margins and (field is inside or (by_fibers and "allocator" not in keys.options)):
         raise rs.InputError(
@@ -120,7 +122,9 @@ def tile(keys: TileKeys, _: Given) -> None:
             fibers=rs.tiling.Fibers(keys.fibers, lost_in_collision=keys.lost_in_collision),
             allocator=_options_of(keys.options, by_fibers=by_fibers),
             radius=keys.radius,
-            centers=rs.tiling.Centers(_surveys.read_tiles(tiles), tiles.declination, tiles.position_angle),
+            centers=rs.tiling.Centers(
+                read_tiles(tiles, tell=_print.print_text), tiles.declination, tiles.position_angle
+            ),
             exclude=keys.exclude or [],
             visits=keys.catalog.visits,
             progress=sys.stderr.isatty(),

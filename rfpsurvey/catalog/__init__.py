@@ -6,6 +6,7 @@ from rfpsurvey.catalog._columns import UNITS, Finder
 from rfpsurvey.catalog._example_files import is_example
 from rfpsurvey.catalog._extra import RESERVED
 from rfpsurvey.catalog._frames import as_table, is_table, select_rows
+from rfpsurvey.catalog._origin import EXACT, write_exactly
 from rfpsurvey.catalog._partitions import PartitionedCatalog, as_catalog, partition_catalog
 from rfpsurvey.catalog._survey_formats import check_mode, survey_of_north
 from rfpsurvey.catalog._synthetic import example_catalog, synthetic_catalog

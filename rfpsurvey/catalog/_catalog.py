@@ -20,6 +20,7 @@ from rfpsurvey.catalog import _tables
 from rfpsurvey.catalog._arrays import CatalogArrays
 from rfpsurvey.catalog._example_files import path_and_name, read_table
 from rfpsurvey.catalog._extra import extra_columns
+from rfpsurvey.catalog._origin import EXACT, exact_columns, origin_of
 from rfpsurvey.catalog._time import known_epochs, move_coordinates, moving, to_time
 from rfpsurvey.errors import InputError, check_keywords, check_switch, number_of, refusal, warn
 
@@ -99,6 +100,8 @@ class Catalog:
     subpriority: np.ndarray | None = None
     numbered: bool = False
 
+    origin = None  # the arguments of `read`, if the catalog was read from a file
+
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
         epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch", gaps=True)
@@ -146,8 +149,7 @@ class Catalog:
     def __len__(self):
         return len(self.coord)
 
-    def __getstate__(self):
-        # The arrays are omitted from a copy for another process; the other process computes them again.
+    def __getstate__(self):  # another process computes the arrays again
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
     def __getitem__(self, index):
@@ -162,7 +164,7 @@ class Catalog:
         return to_html(self, {"targets": len(self), **self.meta}, self[:5].to_table())
 
     def _take(self, index, **changes):
-        """Return a catalog of the rows that ``index`` selects; ``changes`` are new values of its attributes."""
+        """Return a catalog of the rows that ``index`` selects, with ``changes`` of its attributes."""
         index = np.atleast_1d(np.arange(len(self))[index])
         values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         for name in _PER_TARGET:
@@ -207,10 +209,10 @@ class Catalog:
             Table with a `~astropy.coordinates.SkyCoord` column, or with coordinates in columns such as ``ra`` and
             ``dec``, ``RAJ2000`` and ``DEJ2000``, ``TARGET_RA`` and ``TARGET_DEC``, or ``l`` and ``b`` (with
             ``frame="galactic"``). The columns ``pmra`` (with cos dec), ``pmdec``, ``ref_epoch``, ``id``,
-            ``priority``, ``subpriority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are also recognized.
-            Target tables of DESI, PFS and SDSS-V are recognized by their columns; small priorities of PFS and SDSS-V
-            are more important (:doc:`/conventions`). ``meta["columns"]`` of the catalog states which column has which
-            role. A DataFrame of pandas or Polars and an Arrow table are accepted.
+            ``priority``, ``subpriority``, ``kind``, ``category``, ``fiber_type`` and ``visits`` are recognized, and so
+            are target tables of DESI, PFS and SDSS-V; small priorities of PFS and SDSS-V are more important
+            (:doc:`/conventions`). ``meta["columns"]`` of the catalog states which column has which role. A DataFrame of
+            pandas or Polars and an Arrow table are accepted.
         columns : dict, optional
             Names of columns that are not recognized automatically. The keys are recognized names; for example,
             ``{"id": "star"}`` uses the column ``star`` as ``id``. A minus sign before the name of a column reverses the
@@ -219,7 +221,7 @@ class Catalog:
             Units of the columns that have no unit in the table, for example ``{"ra": "hourangle", "dec": "deg"}``. If
             none of the columns of positions and proper motions has a unit, positions are assumed to be in degrees and
             proper motions in mas / yr, and a warning is issued. There is no warning for DataFrames, which cannot have
-            units, and for tables of DESI, PFS and SDSS-V. ``meta["assumed_units"]`` lists the assumed units.
+            units, and for tables of surveys. ``meta["assumed_units"]`` lists the assumed units.
         frame : str, optional
             Frame of the coordinates. For ``icrs``, ``fk5`` and ``fk4`` the columns are right ascension and
             declination; for other frames they are longitude and latitude.
@@ -269,19 +271,16 @@ class Catalog:
         hdu: int | str | None = None,
         select: dict | None = None,
     ) -> "Catalog":
-        """Read a catalog from a FITS, ECSV, CSV, VOTable or Parquet file.
+        """Read a catalog from a FITS, ECSV, CSV (with any usual separator), VOTable or Parquet file.
 
-        If a file has no units, like CSV files, positions are assumed to be in degrees and proper motions in mas / yr,
-        unless ``units`` is given. CSV files may use semicolons, tabs or vertical bars instead of commas.
+        If a file has no units, positions are assumed to be in degrees and proper motions in mas / yr.
 
         Parameters
         ----------
         path : str or path-like
             Path of the file, or ``example:anticenter``. The extension (before ``.gz``) determines the file format.
-        columns, units : dict, optional
-            Names and units of columns, as in `from_table`.
-        frame : str, optional
-            Frame of the coordinates, as in `from_table`.
+        columns, units, frame : optional
+            Names and units of columns, and the frame of the coordinates, as in `from_table`.
         fill : dict, optional
             Values that replace missing values, as in `from_table`.
         keep : list of str, optional
@@ -303,12 +302,15 @@ class Catalog:
         """
         path, name = path_and_name(path)
         table = read_table(path, hdu)
+        given = {"columns": columns, "units": units, "fill": fill, "keep": keep, "select": select, "frame": frame}
         try:
             plain = lacks_units(path) and not _tables.has_units(table)
-            catalog = cls(**_tables.read_columns(table, columns, units, frame, fill, keep, select, assume_units=plain))
+            exact = exact_columns(table) if hdu == EXACT else None
+            catalog = cls(**(exact or _tables.read_columns(table, **given, assume_units=plain)))
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
         catalog.meta.update({"file": name} if hdu is None else {"file": name, "hdu": hdu})
+        object.__setattr__(catalog, "origin", origin_of(path, name, given | {"hdu": hdu}))
         return catalog
 
     def to_table(self) -> QTable:
@@ -334,7 +336,7 @@ class Catalog:
         Raises
         ------
         InputError
-            If the folder does not exist, or if the file exists and ``overwrite`` is False.
+            If the path is not valid, or if the file exists and ``overwrite`` is False.
         """
         _io.write_table(self.to_table(), path, overwrite=overwrite)
 
@@ -346,8 +348,7 @@ class Catalog:
     def at_epoch(self, time: Time | str | float) -> "Catalog":
         """Return a catalog with the positions of the targets at the given epoch.
 
-        Targets move along straight lines in space; parallaxes and radial velocities are ignored. Targets that lack one
-        or both components of the proper motion keep their positions.
+        Targets move along straight lines in space. Targets that lack a component of the proper motion do not move.
 
         Parameters
         ----------
@@ -357,7 +358,7 @@ class Catalog:
         Returns
         -------
         Catalog
-            The same targets at the new epoch. A catalog without proper motions is returned unchanged.
+            The same targets at the new epoch; the same catalog if it has no proper motions.
 
         Raises
         ------

@@ -15,6 +15,7 @@ from rfpsurvey._outputs import check_new_folder, check_texts
 from rfpsurvey._readers import content_of, import_parquet, is_present, unit_metadata
 from rfpsurvey.catalog._catalog import Catalog
 from rfpsurvey.catalog._frames import is_table
+from rfpsurvey.catalog._origin import origin_of
 from rfpsurvey.catalog._parts import INDEX_ORDER, Partitions
 from rfpsurvey.catalog._tables import catalog_roles
 from rfpsurvey.catalog._time import to_time
@@ -203,6 +204,12 @@ class PartitionedCatalog:
         columns = self.parts.finder.statement(catalog_roles(self.frame), self.keep)
         about = {"folder": self.folder.name, "n_partitions": len(self.parts.files), "columns": columns}
         return about | ({"collection": self._collection} if self._collection else {})
+
+    @property
+    def origin(self) -> dict:
+        """The arguments with which the catalog was opened, as text and numbers, with the absolute path."""
+        given = {name: getattr(self, name) for name in ("columns", "units", "fill", "keep", "frame")}
+        return origin_of(self.folder, "", given)
 
     def read(self) -> Catalog:
         """Return the whole catalog, which must fit into memory, with the rows in the order of the partitions.

@@ -35,6 +35,7 @@ from rfpsurvey.instrument._as_built import AsBuilt
 from rfpsurvey.instrument._described import MARGINS, RULES, Described
 from rfpsurvey.instrument._entries import NEED
 from rfpsurvey.instrument._facts import fact_texts, field_angles, find_facts
+from rfpsurvey.instrument._file import Written, read_instrument
 from rfpsurvey.instrument._states import LISTED, States, apply_entry, moments_at
 from rfpsurvey.projection import RadialMap
 
@@ -44,7 +45,7 @@ LAYOUTS = ("nominal", "as built")
 
 @check_keywords
 @dataclass(frozen=True, eq=False)
-class Instrument(ArmModels, AsBuilt, Described, States):
+class Instrument(ArmModels, AsBuilt, Described, States, Written):
     """A fiber-positioner instrument with the optics of its telescope.
 
     Parameters
@@ -177,9 +178,9 @@ class Instrument(ArmModels, AsBuilt, Described, States):
         Parameters
         ----------
         path : str or path-like
-            Path of a TOML file in the format of the included presets, or of a file or folder that
-            `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or `~rfpsurvey.Instrument.from_pfs`
-            reads.
+            Path of a TOML file in the format of the included presets, of a file that `write` wrote, or of a file or
+            folder that `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or
+            `~rfpsurvey.Instrument.from_pfs` reads.
         time : Time or str, optional
             Time (UTC) at which the states of positioners are evaluated that a TOML file or a log of DESI contains.
 
@@ -197,7 +198,8 @@ class Instrument(ArmModels, AsBuilt, Described, States):
         path = to_path(path)
         moments_at(time)  # refuse an invalid time, even if the description has no states with dates
         if is_present(path) and path.suffix.lower() != ".toml":
-            found = cls._read_as_built(path, time)
+            given = read_instrument(path) if path.suffix.lower() == ".ecsv" and path.is_file() else None
+            found = cls._read_as_built(path, time) if given is None else cls(**given)
             if found is not None:
                 return found
             if path.is_dir():

@@ -2,12 +2,13 @@
 
 from rfpsurvey.selection._potential import PotentialAssignments, potential_assignments
 from rfpsurvey.selection._probabilities import SelectionProbabilities, selection_facts
-from rfpsurvey.selection._select import selection_probabilities
+from rfpsurvey.selection._select import select_survey, selection_probabilities
 
 __all__ = [
     "PotentialAssignments",
     "SelectionProbabilities",
     "potential_assignments",
+    "select_survey",
     "selection_facts",
     "selection_probabilities",
 ]

@@ -4,6 +4,7 @@ import json
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor
+from dataclasses import replace
 from time import perf_counter
 
 import numpy as np
@@ -18,7 +19,7 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._alternate import generations_of
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
-from rfpsurvey.survey import Request, Survey, SurveyState, prepare_request
+from rfpsurvey.survey import Request, Survey, SurveyState, call_of, keys_in, prepare_request
 from rfpsurvey.tiling import Tiling
 
 log = logging.getLogger("rfpsurvey")
@@ -196,6 +197,16 @@ def selection_probabilities(
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)
     return found
+
+
+def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:
+    """Compute the selection probabilities of a survey in a folder; see `Survey.select`."""
+    keys = keys_in(survey.folder)
+    call = call_of(replace(keys, output=replace(keys.output, replan=True)))
+    call["catalog"] = call.pop("visits")
+    if isinstance(call["allocator"], AllocationOptions):
+        call["allocator"] = replace(call["allocator"], subpriority=None)  # each realization has its own subpriorities
+    return selection_probabilities(n_realizations=n_realizations, **call | options)
 
 
 def _check_same(provenance: dict, request: Request) -> None:

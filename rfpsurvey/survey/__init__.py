@@ -8,27 +8,47 @@ from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._history._status import status_facts, survey_status
 from rfpsurvey.survey._joint._options import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
+from rfpsurvey.survey._plan_file import (
+    DEFAULT_CENTER,
+    SurveyKeys,
+    allocator_of,
+    call_of,
+    keys_in,
+    read_tiles,
+    state_in,
+    targets_of,
+    tiles_of,
+)
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import in_order
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
 __all__ = [
+    "DEFAULT_CENTER",
     "JOINT",
     "Cadences",
     "Job",
     "JointOptions",
     "Request",
     "Survey",
+    "SurveyKeys",
     "SurveyState",
     "VisitRule",
+    "allocator_of",
+    "call_of",
     "diff_surveys",
     "in_order",
+    "keys_in",
     "plan_survey",
     "prepare_request",
     "reach_of",
+    "read_tiles",
+    "state_in",
     "status_facts",
     "survey_facts",
     "survey_status",
+    "targets_of",
+    "tiles_of",
     "work",
 ]

@@ -4,6 +4,8 @@ import logging
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from time import perf_counter
 
 import numpy as np
@@ -33,6 +35,7 @@ from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._joint._options import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
+from rfpsurvey.survey._plan_file import call_of, keys_in, write_call
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
@@ -164,21 +167,10 @@ def plan_survey(
     begin = perf_counter()
     if check_switch(resume, "resume") and folder is None:
         raise InputError("the folder of the survey to resume must be given with folder= (or --folder), got no folder")
-    request = prepare_request(
-        catalog,
-        instrument,
-        tiles,
-        allocator=allocator,
-        visits=visits,
-        passes=passes,
-        epoch=epoch,
-        lost_in_collision=lost_in_collision,
-        order=order,
-        executor=executor,
-        rng=rng,
-        folder=folder if resume else None,
-    )
-    survey = run(request, folder, executor, progress, resume=resume)
+    call = {"instrument": instrument, "tiles": tiles, "allocator": allocator, "visits": visits, "passes": passes}
+    others = {"epoch": epoch, "lost_in_collision": lost_in_collision, "order": order, "executor": executor, "rng": rng}
+    request = prepare_request(catalog, **call, **others, folder=folder if resume else None)
+    survey = run(request, folder, executor, progress, resume=resume, record=partial(write_call, request, call))
     if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     for text in survey.summary["unmet"]:
@@ -186,6 +178,15 @@ def plan_survey(
     warn_of_costly_rules(survey.summary.get("n_lost_to_rules", 0), survey.summary["n_science"])
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
+
+
+def replan(folder: Path | None, executor: Executor | None, progress: object, changes: dict) -> Survey:
+    """Plan the rest of the survey in a folder; see `Survey.replan`."""
+    if folder is None:
+        raise InputError("the rest of a survey can be planned only in its folder, got a survey without a folder")
+    keys = keys_in(folder, changes)
+    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
+    return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
 
 
 def prepare_request(

@@ -34,14 +34,21 @@ IN_FLIGHT = 256
 TOGETHER, SHARE = 8, 16
 
 
-def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
-    """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None."""
+def run(
+    request: Request, path, executor: Executor | None, progress, *, resume: bool, record: Callable[[Path], None]
+) -> Survey:
+    """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None.
+
+    The function ``record`` writes the plan file of the survey to the folder, when the folder is locked.
+    """
     joint = None
     where = nullcontext()
     if path is not None:
         request.check_text()
         where = Folder(path, request, resume=resume)
     with where as folder:
+        if folder is not None:
+            record(folder.path)
         n = len(request.tiling)
         found = None if folder is None else read_finished(folder.path, request)
         if found is not None:

@@ -17,6 +17,7 @@ from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._columns import OUTCOME, TILES
 from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
+from rfpsurvey.survey._living import Living
 from rfpsurvey.survey._work import VISITS_UNITS
 
 # Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
@@ -29,7 +30,7 @@ VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", 
 
 
 @dataclass(frozen=True, eq=False)
-class Survey:
+class Survey(Living):
     """The result of planning a survey: tiles, completeness, the outcome of each target, and all visits.
 
     Parameters
@@ -190,89 +191,6 @@ class Survey:
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
         return table
-
-    def record(
-        self,
-        table: Table | str | os.PathLike,
-        *,
-        enough: float = 1.0,
-        tile: int | str | None = None,
-        columns: dict[str, str] | None = None,
-        dry_run: bool = False,
-    ) -> dict:
-        """Record what was observed, or which tiles or targets changed, in the folder of the survey.
-
-        Each call appends one file to the folder. A later record of the same tile and date corrects the state of the
-        tile and adds failed visits; records that equal an earlier record are not repeated. If `plan_survey` is called
-        with the new `state`, observed tiles keep their plans, and all other tiles are planned again.
-
-        Parameters
-        ----------
-        table : Table, DataFrame, list of dict, or path-like
-            Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
-            ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
-            ``positioner`` or ``target``, ``reason``, and ``plan`` (the digest ``PLANID`` of the plan of the tile).
-            Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
-            less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
-            unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
-            and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes targets: it has
-            the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``, ``dropped`` or
-            ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The usual names of
-            columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a
-            confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
-        enough : float, optional
-            Fraction of the exposure from which a tile without a state is done; below, it is partly done.
-        tile : int or str, optional
-            The tile of all rows of a table without the column ``tile``.
-        columns : dict of str to str, optional
-            Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
-        dry_run : bool, optional
-            Whether to check the table, and to return what would change, without recording anything.
-
-        Returns
-        -------
-        dict
-            Number of new events (``n_events``), of rows that were already recorded (``n_known``), and of rows without
-            an observation (``n_ignored``); tiles and targets by the kind of their change (``changes``).
-
-        Raises
-        ------
-        InputError
-            If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
-            value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
-        """
-        from rfpsurvey.survey._history._record import record
-
-        return record(self, table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
-
-    def state(self, catalog: object, *, rule: object = None, visits: object = None, until: str | None = None) -> object:
-        """Return the state of the survey that follows from the recorded events.
-
-        Parameters
-        ----------
-        catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame
-            The targets of the first plan.
-        rule : VisitRule, optional
-            Rule that determines the requested visits and the priorities. By default, each target is observed until the
-            requested visits are successful.
-        visits : int or array_like of int, optional
-            Requested visits as in the first plan; by default, the column ``visits`` of the catalog, or 1.
-        until : str, optional
-            Date of the last observations that are taken into account, such as 2026-01-03.
-
-        Returns
-        -------
-        SurveyState
-            The state, which is the parameter ``visits`` of `plan_survey` and `selection_probabilities`.
-
-        Raises
-        ------
-        InputError
-            If the catalog is another one, if the survey has cadences, or if a file of events is missing or damaged.
-        """
-        from rfpsurvey.survey._history._state import SurveyState
-
-        return SurveyState.read(self.folder, catalog, rule=rule, visits=visits, until=until)
 
     def plot(self, **options: object) -> object:
         """Plot the tiles on the sky, as `rfpsurvey.plot.plot_tiling` does.

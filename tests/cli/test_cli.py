@@ -12,7 +12,7 @@ import rfpsurvey as rs
 from refusals import sentence
 from rfpsurvey._cli import _app
 from rfpsurvey._cli._main import COMMANDS, commands
-from rfpsurvey._cli._plan_file import add_text
+from rfpsurvey.inputs._plan_file import add_text
 
 
 @pytest.mark.few(1)

@@ -11,8 +11,9 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey._cli import _plan_file, plan, survey
-from rfpsurvey._cli._keys import Part, build, keys_of
+from rfpsurvey._cli import plan, survey
+from rfpsurvey.inputs import _plan_file
+from rfpsurvey.inputs._keys import Part, build, keys_of
 
 SURVEY = keys_of(survey.SurveyKeys)
 

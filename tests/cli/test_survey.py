@@ -12,7 +12,8 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _groups, _process, _surveys
+from rfpsurvey._cli import _process, _surveys
+from rfpsurvey.inputs import WorkerKeys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 
@@ -324,7 +325,7 @@ def test_an_interrupted_survey_says_what_stays(run, files, tmp_path, monkeypatch
     assert _process._kept == [sentence]  # test_interrupts.py tests the message
 
 
-WORKERS = _groups.WorkerKeys(scheduler="tcp://here:1")
+WORKERS = WorkerKeys(scheduler="tcp://here:1")
 
 
 def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeypatch):

@@ -4,24 +4,54 @@ import json
 import os
 import re
 import tomllib
-from collections.abc import Collection
-from dataclasses import MISSING
+from collections.abc import Callable, Collection
+from contextvars import ContextVar
+from dataclasses import MISSING, dataclass
 from datetime import date, datetime
 from pathlib import Path
 from textwrap import wrap
 
 import astropy.units as u
 
-from rfpsurvey._cli._keys import Key, Part, add, find, located
 from rfpsurvey._readers import read_toml
 from rfpsurvey.errors import InputError, warn
+from rfpsurvey.inputs._keys import Key, Part, add, find, located
+from rfpsurvey.tile import versions
 
 RECORD = "plan.toml"
 """Name of the plan file in the folder of a survey."""
+PLAN_FILE: ContextVar[Callable[[Path], str] | None] = ContextVar("PLAN_FILE", default=None)
+"""Function of the folder of a survey that returns the text of its plan file, while a command plans the survey."""
 
 WIDTH = 80
 # Keys that plan files and records do not contain: they state how one run of a command treats its outputs.
 OF_ONE_RUN = ("output.resume", "output.replan", "output.overwrite")
+
+
+ABOUT_PATHS = "Paths are relative to the folder of this file."
+
+
+@dataclass(frozen=True)
+class Given:
+    """The values of the keys of a command that were given, from which a plan file can be written."""
+
+    command: str
+    keys: dict
+    values: dict
+
+    def to_toml(self, folder: Path | None, *, documented: bool = False) -> str:
+        """Return the text of a plan file in a folder."""
+        title = f"Run this file with: rfpsurvey {self.command} FILE\n# {ABOUT_PATHS}"
+        return to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
+
+    def record(self, folder: Path, tables: Collection[str] = ("options",), outputs: Collection[str] = ()) -> str:
+        """Return the text of a plan file with the values of all keys and the version (see `complete`)."""
+        values = complete(self.keys, self.values, tables, outputs)
+        text = Given(self.command, self.keys, values).to_toml(folder)
+        version = (
+            f"# rfpsurvey {versions()['rfpsurvey']}; keys without a value have the default values of this version.\n"
+        )
+        return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
 
 
 def is_plan_file(path: object) -> bool:
@@ -36,9 +66,9 @@ def survey_folder(path: object) -> Path | None:
         return None
     if not (folder / RECORD).is_file():
         raise InputError(
-            f"{folder} must be a folder that rfpsurvey survey wrote, with the file {RECORD}, got a survey that was "
-            "planned in Python; plan the rest there with visits=Survey.state(...), or give the catalog and all options "
-            f"of the first plan, with --folder {folder} --replan"
+            f"{folder} must contain the file {RECORD}, got a survey that version 0.3 planned in Python; plan the rest "
+            "with visits=Survey.state(...), or give the catalog and all options of the first plan, with --folder "
+            f"{folder} --replan"
         )
     return folder
 

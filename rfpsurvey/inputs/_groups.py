@@ -7,13 +7,14 @@ from typing import Annotated
 import astropy.units as u
 from astropy.time import Time
 
-import rfpsurvey as rs
-from rfpsurvey._cli._keys import Located, Part
 from rfpsurvey._methods import help_of
 from rfpsurvey._readers import parse_number
 from rfpsurvey._settings import Option, option
-from rfpsurvey.allocation import METHODS
+from rfpsurvey.allocation import METHODS, AllocationOptions
 from rfpsurvey.errors import InputError, listed
+from rfpsurvey.focal_plane import Margins
+from rfpsurvey.inputs._keys import Located, Part
+from rfpsurvey.observing import ObservingConditions
 
 AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
 Text = str | int | float
@@ -107,9 +108,13 @@ class SurveyCatalogKeys(CatalogKeys):
     visits : int, optional
         Number of visits that each target requires. By default, the number of visits in the catalog, or 1 if the catalog
         has no column of visits.
+    visits_table : Path, optional
+        Table with the column visits and a row for each target, in place of one number for all targets. Surveys that are
+        planned in Python write it.
     """
 
     visits: int | None = option(None, low=1)
+    visits_table: Path | None = None
 
 
 @dataclass(frozen=True)
@@ -155,7 +160,7 @@ class StateKeys(StateTimeKeys):
 
     arm_model: str | None = None
     broken: Path | None = None
-    margins: Annotated[dict, Part(rs.Margins, MarginKeys, from_text=margins_of_text)] = None
+    margins: Annotated[dict, Part(Margins, MarginKeys, from_text=margins_of_text)] = None
 
 
 @dataclass(frozen=True)
@@ -212,7 +217,7 @@ class AllocatorKeys(ConstraintKeys):
     """The allocator, and constraints as texts."""
 
     allocator: Annotated[str, f"Allocator: {help_of(METHODS)}, or an allocator of an installed package."] = (
-        rs.AllocationOptions.allocator
+        AllocationOptions.allocator
     )
 
 
@@ -222,7 +227,7 @@ class SurveyAllocatorKeys(AllocatorKeys):
 
     allocator: Annotated[
         str, f"Allocator: {help_of(METHODS)}, joint (all tiles together), or an allocator of an installed package."
-    ] = rs.AllocationOptions.allocator
+    ] = AllocationOptions.allocator
 
 
 @dataclass(frozen=True)
@@ -241,11 +246,10 @@ class ConditionsKeys:
     site: str | list[float] | None = None
 
 
-Options = Annotated[dict, Part(rs.AllocationOptions, AllocatorKeys)]
-SurveyOptions = Annotated[dict, Part(rs.AllocationOptions, SurveyAllocatorKeys)]
-OptionsOnly = Annotated[dict, Part(rs.AllocationOptions, ConstraintKeys, omit=("allocator",))]
-Rule = Annotated[dict, Part(rs.survey.VisitRule)]
-Conditions = Annotated[dict, Part(rs.ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
+Options = Annotated[dict, Part(AllocationOptions, AllocatorKeys)]
+SurveyOptions = Annotated[dict, Part(AllocationOptions, SurveyAllocatorKeys)]
+OptionsOnly = Annotated[dict, Part(AllocationOptions, ConstraintKeys, omit=("allocator",))]
+Conditions = Annotated[dict, Part(ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
 Seed = Annotated[int, "Seed of the random numbers.", Option(low=0)]
 Epoch = Annotated[
     str | float | Time | None,

@@ -1,0 +1,174 @@
+"""Methods of `Survey` for observations: their records, the state that follows from them, and the rest of the plan."""
+
+import os
+from importlib import import_module
+
+from astropy.table import QTable, Table
+
+
+class Living:
+    """Methods that `Survey` inherits; the modules that they call are imported on first use."""
+
+    def record(
+        self,
+        table: Table | str | os.PathLike,
+        *,
+        enough: float = 1.0,
+        tile: int | str | None = None,
+        columns: dict[str, str] | None = None,
+        dry_run: bool = False,
+    ) -> dict:
+        """Record what was observed, or which tiles or targets changed, in the folder of the survey.
+
+        Each call appends one file to the folder. A later record of the same tile and date corrects the state of the
+        tile and adds failed visits; records that equal an earlier record are not repeated. If `plan_survey` is called
+        with the new `state`, observed tiles keep their plans, and all other tiles are planned again.
+
+        Parameters
+        ----------
+        table : Table, DataFrame, list of dict, or path-like
+            Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
+            ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
+            ``positioner`` or ``target``, ``reason``, and ``plan`` (the digest ``PLANID`` of the plan of the tile).
+            Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
+            less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
+            unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
+            and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes targets: it has
+            the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``, ``dropped`` or
+            ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The usual names of
+            columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a
+            confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
+        enough : float, optional
+            Fraction of the exposure from which a tile without a state is done; below, it is partly done.
+        tile : int or str, optional
+            The tile of all rows of a table without the column ``tile``.
+        columns : dict of str to str, optional
+            Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
+        dry_run : bool, optional
+            Whether to check the table, and to return what would change, without recording anything.
+
+        Returns
+        -------
+        dict
+            Number of new events (``n_events``), of rows that were already recorded (``n_known``), and of rows without
+            an observation (``n_ignored``); tiles and targets by the kind of their change (``changes``).
+
+        Raises
+        ------
+        InputError
+            If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
+            value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
+        """
+        from rfpsurvey.survey._history._record import record
+
+        return record(self, table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
+
+    def state(
+        self, catalog: object = None, *, rule: object = None, visits: object = None, until: str | None = None
+    ) -> object:
+        """Return the state of the survey that follows from the recorded events.
+
+        Parameters
+        ----------
+        catalog : Catalog, PartitionedCatalog, SkyCoord, Table or DataFrame, optional
+            The targets of the first plan. By default, the catalog, ``rule`` and ``visits`` are those in the plan file
+            of the folder.
+        rule : VisitRule, optional
+            Rule that determines the requested visits and the priorities. If a catalog is given, the default is that
+            each target is observed until the requested visits are successful.
+        visits : int or array_like of int, optional
+            Requested visits as in the first plan. If a catalog is given, the default is the column ``visits`` of the
+            catalog, or 1.
+        until : str, optional
+            Date of the last observations that are taken into account, such as 2026-01-03.
+
+        Returns
+        -------
+        SurveyState
+            The state, which is the parameter ``visits`` of `plan_survey` and `selection_probabilities`.
+
+        Raises
+        ------
+        InputError
+            If the catalog is another one, if the survey has cadences, or if a file of events is missing or damaged.
+        """
+        from rfpsurvey.survey import _plan_file
+
+        given = {"rule": rule, "visits": visits, "until": until}
+        if catalog is None:
+            given = {name: value for name, value in given.items() if value is not None}
+            return _plan_file.state_in(self.folder, **given)
+        return _plan_file.SurveyState.read(self.folder, catalog, **given)
+
+    def replan(self, *, executor: object = None, progress: object = False, **changes: object) -> object:
+        """Plan the rest of the survey in its folder, after observations were recorded.
+
+        The targets, the instrument, the tiles and all options are those in the plan file of the folder, ``plan.toml``.
+
+        Parameters
+        ----------
+        executor, progress : optional
+            As in `plan_survey`.
+        **changes : object
+            Parameters of `plan_survey` with other values than in the first plan: an ``instrument`` in which other
+            positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
+            parameters that the plan file cannot contain, such as a function as ``allocator``.
+
+        Returns
+        -------
+        Survey
+            The survey.
+
+        Raises
+        ------
+        InputError
+            As `plan_survey`, and if a parameter that the plan file cannot contain is not given.
+        """
+        from rfpsurvey.survey._plan import replan
+
+        return replan(self.folder, executor, progress, changes)
+
+    def status(self, until: str | None = None) -> QTable:
+        """Return the numbers of observed, planned and other visits, as `rfpsurvey.survey.survey_status` does.
+
+        Parameters
+        ----------
+        until : str, optional
+            Date of the last observations that are taken into account, such as 2026-01-03.
+
+        Returns
+        -------
+        QTable
+            Table with a row for each class of targets.
+
+        Raises
+        ------
+        InputError
+            As `state`.
+        """
+        from rfpsurvey.survey._history._status import survey_status
+
+        return survey_status(self, self.state(until=until))
+
+    def select(self, n_realizations: int = 128, **options: object) -> object:
+        """Return the probability that each target is observed, as `rfpsurvey.selection_probabilities` does.
+
+        Parameters
+        ----------
+        n_realizations : int, optional
+            Number of realizations of the survey, each of which repeats the recorded observations.
+        **options : object
+            The parameters ``folder``, ``resume``, ``executor``, ``progress`` and ``rng`` of
+            `rfpsurvey.selection_probabilities`.
+
+        Returns
+        -------
+        SelectionProbabilities
+            The probabilities.
+
+        Raises
+        ------
+        InputError
+            As `rfpsurvey.selection_probabilities`, and if a parameter that the plan file cannot contain is required.
+        """
+        return import_module("rfpsurvey.selection").select_survey(self, n_realizations, **options)

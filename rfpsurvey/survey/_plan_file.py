@@ -1,0 +1,355 @@
+"""The plan file of a survey: its keys, the parameters of `plan_survey` for their values, and the values for a call."""
+
+import os
+from collections.abc import Callable, Collection
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import Annotated
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, Table
+
+from rfpsurvey import inputs
+from rfpsurvey._io import read_table, write_bytes, write_table
+from rfpsurvey._plugins import name_of
+from rfpsurvey._settings import Settings, options_of
+from rfpsurvey._units import to_center
+from rfpsurvey.allocation import AllocationOptions
+from rfpsurvey.catalog import EXACT, Catalog, PartitionedCatalog, synthetic_catalog, write_exactly
+from rfpsurvey.constraints import circle_text
+from rfpsurvey.errors import InputError, listed, warn, warn_no_effect
+from rfpsurvey.inputs import Part, build, keys_of, say_nothing
+from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey.region import Region
+from rfpsurvey.survey._cadences import Cadences
+from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._history._state import SurveyState
+from rfpsurvey.survey._joint._options import JOINT, JointOptions, as_joint
+from rfpsurvey.survey._survey import Survey
+from rfpsurvey.tiling import Tiling, as_tiling, place_tiles, warn_of_targets
+
+DEFAULT_CENTER = "06h20m00s +23d00m00s"
+INPUTS = "inputs"
+"""Folder of the inputs that no other file describes, in the folder of a survey."""
+TILE_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date", "mjd"}
+TILE_COLUMNS |= {"skybrightness", "sky_brightness"}
+"""Columns of tables of tiles that surveys use."""
+
+
+@dataclass(frozen=True)
+class SurveyOutputKeys(inputs.OutputKeys):
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    folder : Path, optional
+        Folder to which the finished tiles are written.
+    resume : bool, optional
+        Continue the survey in the folder, which is unfinished, or to which tiles are added after its own.
+    replan : bool, optional
+        Plan the rest of a survey, whose folder is given in place of the catalog, from the events that were recorded
+        (rfpsurvey record). Observed tiles keep their plans. All options have the values of the first plan, unless
+        they are given.
+    plot : Path, optional
+        Plot the tiles on the sky and the completeness (.png, .pdf or .svg).
+    quality : Path, optional
+        Plot the numbers of visits per priority class, of targets per outcome, and of fibers per kind of target (.png,
+        .pdf or .svg).
+    """
+
+    folder: Path | None = None
+    resume: bool = False
+    replan: bool = False
+    quality: Path | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyKeys(inputs.WorkerKeys):
+    """The keys of the command.
+
+    Parameters
+    ----------
+    cadences : Path, optional
+        Table of cadences; the catalog must have the column cadence, and the tiles the column time, date or mjd.
+    python : list[str], optional
+        Parameters of a survey that was planned in Python for which there is no key, such as a function as allocator.
+        They must be given when the rest of the survey is planned.
+    """
+
+    catalog: inputs.SurveyCatalogKeys
+    instrument: inputs.InstrumentKeys
+    tiles: inputs.TilesKeys
+    options: inputs.SurveyOptions
+    joint: Annotated[dict, Part(JointOptions, omit=("allocator",))]
+    rule: Annotated[dict, Part(VisitRule)]
+    conditions: inputs.Conditions
+    output: SurveyOutputKeys
+    order: inputs.Order = "color"
+    cadences: Path | None = None
+    epoch: inputs.Epoch = None
+    lost_in_collision: inputs.Lost = True
+    rng: inputs.Seed = 0
+    python: list[str] | None = None
+
+
+def targets_of(keys, model: Instrument, *, tell: Callable[[str], None] = say_nothing) -> Catalog | PartitionedCatalog:
+    """Read the catalog of a survey from a file or a folder of partitions, with the columns that rules and cadences use.
+
+    By default, make a synthetic catalog wider than a field. All commands that read the catalog of a survey call this
+    function, so that they have the same columns.
+    """
+    catalog = inputs.with_columns_of_rules(keys.catalog, getattr(keys, "options", {}), model)
+    if getattr(keys, "cadences", None) is not None:
+        catalog = replace(catalog, keep=[*dict.fromkeys([*(catalog.keep or ()), "cadence"])])
+    if catalog.path is None:
+        inputs.warn_without_catalog(catalog)
+        options = {"density": model.target_density, "rng": keys.rng}
+        return synthetic_catalog("poisson", to_center(DEFAULT_CENTER), 2 * model.field_radius, **options)
+    return inputs.read_catalog(catalog, tell=tell)
+
+
+def visits_of(keys, targets, **given: object) -> SurveyState | VisitRule | Cadences | int | np.ndarray | None:
+    """Return the parameter ``visits`` of `plan_survey`: the state of a survey, a rule, cadences or numbers.
+
+    ``given`` can contain a ``rule`` and ``visits`` in place of those of the keys.
+    """
+    if keys.cadences is not None:
+        if keys.rule or keys.catalog.visits is not None or keys.output.replan:
+            raise InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
+        return Cadences(keys.cadences)
+    visits, rule = given.get("visits", _requested(keys)), given.get("rule", VisitRule(**keys.rule))
+    for name in ("visits", "after_success"):
+        if keys.catalog.visits and getattr(rule, name) is not None:
+            warn(f"rule.{name} replaces the number of visits of all targets ({visits})")
+    if keys.output.replan:
+        return SurveyState.read(keys.output.folder, targets, rule=rule, visits=visits)
+    if not keys.rule:
+        return visits
+    return rule if visits is None or rule.visits is not None else replace(rule, visits=visits)
+
+
+def _requested(keys) -> int | np.ndarray | None:
+    """Return the requested visits: one number, or the numbers in a table that the plan of a survey wrote."""
+    path = keys.catalog.visits_table
+    return keys.catalog.visits if path is None else np.asarray(read_table(path)["visits"])
+
+
+def read_tiles(keys, *, tell: Callable[[str], None] = say_nothing) -> Tiling | None:
+    """Return a table of tiles or centers, or None without a file; ``tell`` is called with the columns it uses."""
+    columns, units = keys.columns or {}, keys.units or {}
+    if keys.path is None:
+        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu, "select": keys.select}.items():
+            if value:
+                warn_no_effect(f"tiles.{name}", "without a table of tiles")
+        return None
+    tiling = Tiling.read(keys.path, columns, units, keys.hdu, keys.select)
+    meta = tiling.table.meta
+    if any(role != name for role, name in meta["columns"].items()):
+        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
+        more = [f"; {name}: {meta[name]}" for name in ("omitted", "selected") if name in meta]
+        tell(f"columns of tiles: {said}" + "".join(more))
+    return tiling
+
+
+def tiles_of(tiling: Tiling | None, targets, model: Instrument) -> Tiling:
+    """Return the given tiles; if no tiles are given, return tiles that cover the catalog twice."""
+    if tiling is not None:
+        warn_of_targets(tiling, len(targets))
+        return tiling
+    if isinstance(targets, PartitionedCatalog):
+        raise InputError(
+            "--tiles must be given for a partitioned catalog: make a table of tiles with rfpsurvey tile --region"
+        )
+    return place_tiles(targets, model, passes=2)
+
+
+def allocator_of(options: dict, joint: dict) -> AllocationOptions | JointOptions:
+    """Return the parameter ``allocator`` of `plan_survey` for the keys of the allocator and of a joint plan."""
+    if options.get("allocator") == JOINT:
+        first = AllocationOptions(**{**options, "allocator": JointOptions.allocator})
+        return JointOptions(**joint, allocator=first)
+    for name in joint:
+        warn_no_effect(f"joint.{name}", "without --allocator joint")
+    return AllocationOptions(**options)
+
+
+def keys_in(folder: Path, given: Collection[str] = ()) -> SurveyKeys:
+    """Return the keys in the plan file of a survey; parameters for which there is no key must be ``given``."""
+    path, values = inputs.survey_folder(folder), {}
+    if path is None:
+        raise InputError(f"{folder} does not hold a survey: there is no survey.json")
+    inputs.add_file(keys_of(SurveyKeys), values, path / inputs.RECORD)
+    keys = build(SurveyKeys, values | {"output.folder": str(path)})
+    if lacking := [name for name in keys.python or () if name not in given]:
+        raise InputError(
+            f"{listed(lacking)} must be given as in the first plan, because the plan file of {folder} cannot contain "
+            "what was given in Python"
+        )
+    return keys
+
+
+def state_in(folder: Path, *, tell: Callable[[str], None] = say_nothing, **given: object) -> SurveyState:
+    """Return the state of the survey in a folder for the catalog, the rule and the visits in its plan file.
+
+    ``given`` contains values in place of them, and ``until`` (see `SurveyState.read`).
+    """
+    keys = keys_in(folder, {"allocator", "instrument", "tiles", *given})
+    catalog = given.pop("catalog", None)
+    if catalog is None:
+        model = as_instrument(keys.instrument.name) if keys.catalog.path else inputs.model_of(keys.instrument)
+        catalog = targets_of(keys, model, tell=tell)
+    return SurveyState.read(folder, catalog, **{"rule": VisitRule(**keys.rule), "visits": _requested(keys)} | given)
+
+
+def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = say_nothing, **given: object) -> dict:
+    """Return the parameters of `plan_survey` for keys; ``given`` contains parameters in place of those of the keys."""
+    tiling = as_tiling(given["tiles"]) if "tiles" in given else read_tiles(keys.tiles, tell=tell)
+    if "instrument" in given:
+        model = as_instrument(given["instrument"])
+    else:
+        time = partial(inputs.time_of_tiles, tiling, keys.epoch, keys.conditions)
+        model = inputs.model_of(keys.instrument, time, tell=tell)
+    catalog = given["catalog"] if "catalog" in given else targets_of(keys, model, tell=tell)
+    found = {name: getattr(keys, name) for name in ("epoch", "lost_in_collision", "order", "rng")} | given
+    found |= {"catalog": catalog, "instrument": model, "passes": given.get("passes", keys.tiles.passes)}
+    if "allocator" not in given:
+        found["allocator"] = allocator_of(keys.options, keys.joint)
+    found["visits"] = visits_of(
+        keys, catalog, **{name: found.pop(name) for name in ("rule", "visits") if name in given}
+    )
+    found["tiles"] = inputs.tiles_under(tiles_of(tiling, catalog, model), keys.conditions)
+    return found
+
+
+def write_call(request, call: dict, folder: Path) -> None:
+    """Write the plan file of a survey to its folder; inputs that no other file describes are written there as well.
+
+    Parameters
+    ----------
+    request : Request
+        The request of the survey.
+    call : dict
+        The parameters of `plan_survey`.
+    folder : Path
+        The folder.
+    """
+    place = Path(os.path.relpath(folder)) / INPUTS  # plan files contain relative paths, so that folders can be moved
+    text_of = inputs.PLAN_FILE.get()
+    if text_of is None:
+        values, lacking = _values_of(request, call, place)
+        values |= {"python": lacking} if lacking else {}
+        text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, outputs=("output.folder",))
+    write_bytes(folder / inputs.RECORD, text_of(folder).encode())
+
+
+def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
+    """Return the values of the keys for the parameters of `plan_survey`, and the parameters for which there is none."""
+    lacking, visits, rule = [], call["visits"], None
+    values = {"rng": request.seed, "order": request.order, "lost_in_collision": request.lost_in_collision}
+    values |= {name: one for name, one in {"epoch": request.epoch, "tiles.passes": call["passes"]}.items() if one}
+    origin = request.given.origin
+    if origin is None:
+        origin = {"path": _stored(place, "catalog.fits", partial(write_exactly, request.given)), "hdu": EXACT}
+    values |= {f"catalog.{name}": value for name, value in origin.items() if value}
+    if isinstance(visits, SurveyState):
+        rule, visits = visits.rule, visits.given[1]
+    elif isinstance(visits, VisitRule):
+        rule, visits = visits, None
+    if isinstance(visits, Cadences):
+        values["cadences"] = _stored(place, "cadences.ecsv", partial(write_table, visits.table))
+        lacking += [] if visits.column == "cadence" else ["visits"]
+    elif np.ndim(visits):
+        table = QTable({"visits": np.asarray(visits)})
+        values["catalog.visits_table"] = _stored(place, "visits.fits", partial(write_table, table))
+    elif visits is not None:
+        values["catalog.visits"] = int(visits)
+    for found, name in (
+        (_rule_values(rule, place), "rule"),
+        (_allocator_values(call["allocator"]), "allocator"),
+        (_instrument_values(call["instrument"], place), "instrument"),
+    ):
+        values |= found or {}
+        lacking += [name] if found is None else []
+    values["tiles.path"] = _stored(place, "tiles.ecsv", partial(_write_tiles, as_tiling(call["tiles"])), again=True)
+    return values, lacking
+
+
+def _stored(place: Path, name: str, write: Callable[[Path], None], *, again: bool = False) -> str:
+    """Write an input that no other file describes, unless an earlier run wrote it; return its path."""
+    path = place / name
+    place.mkdir(exist_ok=True)
+    if again or not path.exists():
+        write(path, overwrite=True)
+    return str(path)
+
+
+def _write_tiles(tiling: Tiling, path: Path, *, overwrite: bool) -> None:
+    """Write the columns of a tiling that surveys use."""
+    names = [name for name in tiling.table.colnames if name.lower() in TILE_COLUMNS]
+    meta = {name: tiling.table.meta[name] for name in ("conditions", "summary") if name in tiling.table.meta}
+    write_table(QTable(tiling.table[names], meta=meta), path, overwrite=overwrite)
+
+
+def _rule_values(rule: VisitRule | None, place: Path) -> dict | None:
+    """Return the values of the keys of a rule; None if its function has no name."""
+    values = {} if rule is None else {f"rule.{k}": v for k in _named(rule) if (v := getattr(rule, k)) is not None}
+    if callable(values.get("rule.function")):
+        return None
+    if isinstance(table := values.get("rule.table"), Table):
+        values["rule.table"] = _stored(place, "rule.ecsv", partial(write_table, table))
+    elif table is not None:
+        values["rule.table"] = str(Path(table).resolve())
+    return values
+
+
+def _allocator_values(given: object) -> dict | None:
+    """Return the values of the keys of an allocator; None if they do not determine it."""
+    options, joint = as_joint(given, "color")
+    values = {name: _text_of(getattr(options, name)) for name in _named(options)}
+    more = {} if joint is None else {name: _text_of(getattr(joint, name)) for name in _named(joint)}
+    for name in ("allocator", "inform"):
+        more.pop(name, None)
+    if joint is not None:
+        values["allocator"] = JOINT
+    found = {f"options.{name}": one for name, one in values.items()} | {f"joint.{k}": v for k, v in more.items()}
+    try:
+        keys = build(SurveyKeys, found)
+        again = as_joint(allocator_of(keys.options, keys.joint), "color")
+    except InputError:
+        return None
+    return found if again == (options, None if joint is None else replace(joint, inform=None)) else None
+
+
+def _named(settings: Settings) -> list[str]:
+    """Return the names of the first option and of all options without their default values."""
+    return [options_of(type(settings))[0].name, *settings.changed()]
+
+
+def _text_of(value: object) -> object:
+    """Return a value of an option as a key has it."""
+    if isinstance(value, u.Quantity):
+        return f"{float(value.value)!r} {value.unit}"
+    if isinstance(value, Survey):
+        return str(value.folder)
+    if isinstance(value, tuple):
+        return [circle_text(one) if isinstance(one, Region) else str(one) for one in value]
+    return value if isinstance(value, bool | int | float | str) else str(name_of(value) if callable(value) else value)
+
+
+def _instrument_values(given: Instrument | str | os.PathLike, place: Path) -> dict | None:
+    """Return the values of the keys of an instrument; None if no file can describe it."""
+    if isinstance(given, str) and given in available_instruments():
+        return {"instrument.name": given}
+    if not isinstance(given, Instrument):
+        return {"instrument.name": str(Path(given).resolve())}
+    names = [given.name] if given.name in available_instruments() else []
+    try:
+        for path in (*names, _stored(place, "instrument.ecsv", given.write, again=True)):
+            values = {"instrument.name": path, "instrument.arm_model": given.focal_plane.positioner.arm_model}
+            if inputs.model_of(build(SurveyKeys, values).instrument).provenance == given.provenance:
+                return values
+    except InputError:
+        pass
+    return None
