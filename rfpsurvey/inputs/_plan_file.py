@@ -48,9 +48,8 @@ class Given:
         """Return the text of a plan file with the values of all keys and the version (see `complete`)."""
         values = complete(self.keys, self.values, tables, outputs)
         text = Given(self.command, self.keys, values).to_toml(folder)
-        version = (
-            f"# rfpsurvey {versions()['rfpsurvey']}; keys without a value have the default values of this version.\n"
-        )
+        own = versions()["rfpsurvey"]
+        version = f"# rfpsurvey {own}; keys without a value have the default values of this version.\n"
         return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
 
 
@@ -147,9 +146,12 @@ def _help(key: Key) -> str:
 
 
 def _moved(key: Key, value: object, folder: Path) -> object:
-    """Return the value of a key, with a path relative to the folder of the plan file."""
-    if not key.is_path or not isinstance(value, str) or Path(value).is_absolute():
+    """Return the value of a key; relative paths, and paths in the folder of the plan file, are relative to it."""
+    if not key.is_path or not isinstance(value, str):
         return value
+    if Path(value).is_absolute():
+        inside = Path(value).is_relative_to(folder.resolve())
+        return Path(value).relative_to(folder.resolve()).as_posix() if inside else value
     is_name = located(value, Path(), always=not key.is_located) == value and not Path(value).exists()
     if value.startswith("example:") or (key.is_located and is_name):
         return value

@@ -235,10 +235,9 @@ def write_call(request, call: dict, folder: Path) -> None:
     folder : Path
         The folder.
     """
-    place = Path(os.path.relpath(folder)) / INPUTS  # plan files contain relative paths, so that folders can be moved
     text_of = inputs.PLAN_FILE.get()
     if text_of is None:
-        values, lacking = _values_of(request, call, place)
+        values, lacking = _values_of(request, call, folder.resolve() / INPUTS)
         values |= {"python": lacking} if lacking else {}
         text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, outputs=("output.folder",))
     write_bytes(folder / inputs.RECORD, text_of(folder).encode())
@@ -248,7 +247,8 @@ def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
     """Return the values of the keys for the parameters of `plan_survey`, and the parameters for which there is none."""
     lacking, visits, rule = [], call["visits"], None
     values = {"rng": request.seed, "order": request.order, "lost_in_collision": request.lost_in_collision}
-    values |= {name: one for name, one in {"epoch": request.epoch, "tiles.passes": call["passes"]}.items() if one}
+    values |= {} if request.epoch is None else {"epoch": request.epoch}
+    values |= {} if call["passes"] is None else {"tiles.passes": request.first[1]}
     origin = request.given.origin
     if origin is None:
         origin = {"path": _stored(place, "catalog.fits", partial(write_exactly, request.given)), "hdu": EXACT}
@@ -344,10 +344,13 @@ def _instrument_values(given: Instrument | str | os.PathLike, place: Path) -> di
         return {"instrument.name": given}
     if not isinstance(given, Instrument):
         return {"instrument.name": str(Path(given).resolve())}
-    names = [given.name] if given.name in available_instruments() else []
+    preset, arm_model = {"instrument.name": given.name}, given.focal_plane.positioner.arm_model
+    found = [preset, preset | {"instrument.arm_model": arm_model}] if given.name in available_instruments() else []
+    found.append({"instrument.name": str(place / "instrument.ecsv")})
     try:
-        for path in (*names, _stored(place, "instrument.ecsv", given.write, again=True)):
-            values = {"instrument.name": path, "instrument.arm_model": given.focal_plane.positioner.arm_model}
+        for values in found:
+            if values is found[-1]:
+                _stored(place, "instrument.ecsv", given.write, again=True)
             if inputs.model_of(build(SurveyKeys, values).instrument).provenance == given.provenance:
                 return values
     except InputError:

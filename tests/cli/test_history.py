@@ -260,7 +260,7 @@ def test_an_interrupted_new_plan_continues_with_the_same_command(call, run, plan
 def test_a_survey_without_a_plan_file_is_planned_again_with_its_options(run, call, plan, files, tmp_path):
     folder = plan()
     (folder / "plan.toml").unlink()
-    message = f"{folder} must be a folder that rfpsurvey survey wrote, with the file plan.toml, got"
+    message = f"{folder} must contain the file plan.toml, got"
     assert message in sentence(*run("survey", folder, "--replan")[::2])
     call("record", folder, write(tmp_path / "a.csv", tile=[11], state=["done"]))
     words = (files / "stars.fits", "--tiles", files / "tiles.ecsv", "--folder", folder)
@@ -398,7 +398,7 @@ def test_invalid_input_of_the_status_is_one_sentence(run, observed, tmp_path):
     assert "date must be a date" in sentence(*run("status", observed, "--until", "soon")[::2])
     assert "must end in" in sentence(*run("status", observed, "--output", tmp_path / "x.txt")[::2])
     (observed / "plan.toml").unlink()
-    assert "with the file plan.toml" in sentence(*run("status", observed, "--report", tmp_path / "x.html")[::2])
+    assert "must contain the file plan.toml" in sentence(*run("status", observed, "--report", tmp_path / "x.html")[::2])
     assert not (tmp_path / "x.html").exists()
 
 

@@ -381,8 +381,9 @@ def test_a_full_disk_keeps_what_is_there(case, tmp_path, undisturbed, monkeypatc
             return super().write(data)
 
     folder = tmp_path / "survey"
+    opened = lambda path, mode="r", **text: open(path, mode, **text) if text else Full(path, mode)  # noqa: E731
     with monkeypatch.context() as patch:
-        patch.setattr(_io, "open", Full, raising=False)
+        patch.setattr(_io, "open", opened, raising=False)
         with pytest.raises(rs.InputError, match="cannot be written: No space left on device"):
             plan(case, folder)
     assert not list(folder.rglob(".*"))
