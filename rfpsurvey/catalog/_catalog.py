@@ -100,7 +100,7 @@ class Catalog:
     subpriority: np.ndarray | None = None
     numbered: bool = False
 
-    origin = None  # the arguments of `read`, if the catalog was read from a file
+    origin = None  # arguments of `read`, if a file was read
 
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
@@ -126,7 +126,7 @@ class Catalog:
                 raise InputError(f"{name} must be a finite number for every target, but {rows_of(lacking)} have none")
         if "visits" in columns:
             columns["visits"] = to_visits(columns["visits"], n)
-        if epoch is not None and not epoch.isscalar and epoch.shape != (n,):
+        if epoch is not None and epoch.shape not in ((), (n,)):
             raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
         epoch = None if epoch is None else known_epochs(epoch, moving(coord))
         keep = np.isfinite(coord.data.lon.value) & np.isfinite(coord.data.lat.value)
@@ -273,7 +273,7 @@ class Catalog:
     ) -> "Catalog":
         """Read a catalog from a FITS, ECSV, CSV (with any usual separator), VOTable or Parquet file.
 
-        If a file has no units, positions are assumed to be in degrees and proper motions in mas / yr.
+        Without units, positions are assumed to be in degrees and proper motions in mas / yr.
 
         Parameters
         ----------

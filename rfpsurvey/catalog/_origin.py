@@ -4,45 +4,71 @@ from pathlib import Path
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
-from astropy.table import QTable, Table
+from astropy.coordinates import SkyCoord, UnitSphericalCosLatDifferential
+from astropy.table import Table
+from astropy.time import Time
 
-from rfpsurvey._io import write_table
+from rfpsurvey._io import FitsRows, table_cards, write_fits_rows
 from rfpsurvey._units import to_plain
 from rfpsurvey.catalog._example_files import is_example
 from rfpsurvey.catalog._tables import PER_TARGET
-from rfpsurvey.catalog._time import to_time
+from rfpsurvey.errors import InputError, listed
 
 EXACT = "RFPSURVEY"
 """Name of the table in a file that `write_exactly` wrote, whose columns are read without any interpretation."""
 NUMBERED, EXTRA = "row_id", "extra_"
 """Name of the column of identifiers that are row numbers, and beginning of the names of further columns."""
+ROWS = 2**18
+"""Number of rows that are written at once."""
+EPOCH = ("epoch_jd1", "epoch_jd2")
+"""Names of the columns of epochs, which are Julian dates (TDB) in two parts."""
 
 
 def write_exactly(catalog, path: Path, *, overwrite: bool = False) -> None:
     """Write a FITS file that `Catalog.read` reads with ``hdu=EXACT`` as an equal catalog."""
     icrs = catalog.coord.icrs
-    table = QTable({NUMBERED if catalog.numbered else "id": catalog.id, "ra": icrs.ra.to(u.deg)})
-    table["dec"] = icrs.dec.to(u.deg)
+    table = {NUMBERED if catalog.numbered else "id": catalog.id}
+    # conversions of units would change last digits
+    for name, angle in (("ra", icrs.data.lon), ("dec", icrs.data.lat)):
+        table[name] = u.Quantity(angle, angle.unit if angle.unit in (u.deg, u.rad) else u.deg)
     if catalog.has_proper_motion:
-        table["pmra"], table["pmdec"] = icrs.pm_ra_cosdec.to(u.mas / u.yr), icrs.pm_dec.to(u.mas / u.yr)
+        motion = icrs.data.differentials["s"]
+        is_plain = isinstance(motion, UnitSphericalCosLatDifferential)
+        table["pmra"] = motion.d_lon_coslat if is_plain else icrs.pm_ra_cosdec
+        table["pmdec"] = motion.d_lat if is_plain else icrs.pm_dec
     if catalog.epoch is not None:
-        table["ref_epoch"] = np.broadcast_to(catalog.epoch.jyear, len(catalog)) * u.yr
+        for name, days in zip(EPOCH, (catalog.epoch.tdb.jd1, catalog.epoch.tdb.jd2), strict=True):
+            table[name] = np.broadcast_to(days, len(catalog))
     for name in PER_TARGET[1:]:
         if (values := getattr(catalog, name)) is not None:
             table[name] = values
     for name in () if catalog.extra is None else catalog.extra.colnames:
         table[EXTRA + name] = catalog.extra[name]
-    write_table(table, path, overwrite=overwrite, name=EXACT)
+    columns = {name: np.asarray(getattr(column, "value", column)) for name, column in table.items()}
+    units = {
+        name: one.to_string("fits")
+        for name, column in table.items()
+        if (one := getattr(column, "unit", None)) is not None
+    }
+    dtype = np.dtype([(name, column.dtype) for name, column in columns.items()])
+    parts = (
+        np.rec.fromarrays([column[k : k + ROWS] for column in columns.values()], dtype=dtype)
+        for k in range(0, len(catalog), ROWS)
+    )
+    cards = table_cards(EXACT, columns, {}, units)
+    write_fits_rows(path, FitsRows(dtype, cards, parts), overwrite=overwrite)
 
 
 def exact_columns(table: Table) -> dict:
     """Return the arguments of `Catalog` for the table of a file that `write_exactly` wrote."""
+    if not {"ra", "dec"} <= {*table.colnames}:
+        raise InputError(f"the table {EXACT} must have the columns ra and dec, got {listed(table.colnames)}")
     motion = {"pm_ra_cosdec": table["pmra"], "pm_dec": table["pmdec"]} if "pmra" in table.colnames else {}
     given = {"coord": SkyCoord(table["ra"], table["dec"], **motion), "numbered": NUMBERED in table.colnames}
-    if "ref_epoch" in table.colnames and len(table):
-        years = table["ref_epoch"].to_value(u.yr)
-        given["epoch"] = to_time(years[0] if (years == years[0]).all() else years, "ref_epoch")
+    if EPOCH[0] in table.colnames and len(table):
+        days = np.column_stack([table[name] for name in EPOCH])
+        days = days[:1].T[:, 0] if (days == days[0]).all() else days.T
+        given["epoch"] = Time(*days, format="jd", scale="tdb")
     given |= {name: to_plain(table[name]) for name in PER_TARGET if name in table.colnames}
     given |= {"id": to_plain(table[NUMBERED])} if given["numbered"] else {}
     extra = [name for name in table.colnames if name.startswith(EXTRA)]

@@ -28,7 +28,7 @@ from rfpsurvey.inputs._groups import (
     WorkerKeys,
     Workers,
 )
-from rfpsurvey.inputs._keys import Key, Located, Part, add, build, find, keys_of
+from rfpsurvey.inputs._keys import Key, Located, Part, add, build, find, keys_of, time_text
 from rfpsurvey.inputs._objects import (
     conditions_of,
     model_of,

@@ -40,6 +40,9 @@ KINDS: dict[Any, tuple] = {
 }
 
 
+EXACT_TIME = re.compile(rf"({'|'.join(Time.FORMATS)}) ({'|'.join(Time.SCALES)}) (\d+\.\d+) (-?[\d.e-]+\d)")
+
+
 class Located:
     """Annotation of text that is a path if a file of this name exists, and otherwise the name of an object."""
 
@@ -229,9 +232,18 @@ def _convert(key: Key, value: object) -> object:
         return _to_quantity(key, value)
     if isinstance(value, str) and Path in key.kinds:
         return Path(value)
+    if isinstance(value, str) and Time in key.kinds and (match := EXACT_TIME.fullmatch(value)):
+        found = Time(float(match[3]), float(match[4]), format="jd", scale=match[2])
+        found.format = match[1]
+        return found
     if Region in key.kinds or Region in key.inside(list):
         return [Region.parse(one) for one in value] if isinstance(value, list) else Region.parse(value)
     return value
+
+
+def time_text(time: Time) -> str:
+    """Return the text from which `build` restores exactly this time: its format and scale, and two Julian dates."""
+    return f"{time.format} {time.scale} {float(time.jd1)!r} {float(time.jd2)!r}"
 
 
 def _to_quantity(key: Key, value: object) -> object:

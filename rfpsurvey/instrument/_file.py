@@ -50,13 +50,10 @@ class Written:
         write_table(table, path, overwrite=overwrite)
 
 
-def read_instrument(path: Path) -> dict | None:
-    """Return the arguments of `Instrument` in a file that its method ``write`` wrote; None for other tables."""
+def read_instrument(path: Path) -> dict:
+    """Return the arguments of `Instrument` in a file that its method ``write`` wrote."""
     table = read_table(path)
-    about = table.meta.pop(META, None)
-    if about is None:
-        return None
-    about = parse_json(about, f"the entry {META} of meta")
+    about = parse_json(table.meta.pop(META, None), f"the entry {META} of meta")
     found = {name: about[name] for name in PLAIN if name in about}
     found["focal_plane"] = FocalPlane.from_table(QTable(table))
     if "distortion" in about:

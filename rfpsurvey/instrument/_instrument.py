@@ -198,8 +198,7 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
         path = to_path(path)
         moments_at(time)  # refuse an invalid time, even if the description has no states with dates
         if is_present(path) and path.suffix.lower() != ".toml":
-            given = read_instrument(path) if path.suffix.lower() == ".ecsv" and path.is_file() else None
-            found = cls._read_as_built(path, time) if given is None else cls(**given)
+            found = cls._read_as_built(path, time)
             if found is not None:
                 return found
             if path.is_dir():
@@ -208,6 +207,8 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
                     "fp-metrology.csv (DESI), or black_dots_mm.csv (PFS), got none of them"
                 )
         try:
+            if path.suffix.lower() == ".ecsv":
+                return cls(**read_instrument(path))
             found = cls(**_description.build(_description.load(path), path.parent))
             return apply_entry(found, path.parent, time) if LISTED in found.values else found
         except InputError as error:

@@ -168,7 +168,8 @@ def plan_survey(
     if check_switch(resume, "resume") and folder is None:
         raise InputError("the folder of the survey to resume must be given with folder= (or --folder), got no folder")
     call = {"instrument": instrument, "tiles": tiles, "allocator": allocator, "visits": visits, "passes": passes}
-    others = {"epoch": epoch, "lost_in_collision": lost_in_collision, "order": order, "executor": executor, "rng": rng}
+    call["epoch"] = epoch
+    others = {"lost_in_collision": lost_in_collision, "order": order, "executor": executor, "rng": rng}
     request = prepare_request(catalog, **call, **others, folder=folder if resume else None)
     survey = run(request, folder, executor, progress, resume=resume, record=partial(write_call, request, call))
     if request.builder.wanted.any() and not survey.summary["n_visits_observed"]:

@@ -10,6 +10,7 @@ from typing import Annotated
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
+from astropy.time import Time
 
 from rfpsurvey import inputs
 from rfpsurvey._io import read_table, write_bytes, write_table
@@ -247,7 +248,8 @@ def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
     """Return the values of the keys for the parameters of `plan_survey`, and the parameters for which there is none."""
     lacking, visits, rule = [], call["visits"], None
     values = {"rng": request.seed, "order": request.order, "lost_in_collision": request.lost_in_collision}
-    values |= {} if request.epoch is None else {"epoch": request.epoch}
+    if (epoch := call["epoch"]) is not None:
+        values["epoch"] = inputs.time_text(epoch) if isinstance(epoch, Time) else request.epoch
     values |= {} if call["passes"] is None else {"tiles.passes": request.first[1]}
     origin = request.given.origin
     if origin is None:
