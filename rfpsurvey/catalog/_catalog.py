@@ -382,10 +382,8 @@ class Catalog:
 
         Parameters
         ----------
-        center : SkyCoord or str
-            Center of the circle; text is read as in `plan_tile`.
-        radius : Quantity
-            Angular radius of the circle.
+        center, radius : SkyCoord or str, Quantity
+            Center and angular radius of the circle; text is read as in `plan_tile`.
 
         Returns
         -------
