@@ -445,3 +445,44 @@ def test_lists_of_tiles_and_catalogs_are_not_recorded(run, call, plan, files, tm
     assert lines["tiles whose observation was bad"] == ["1", "12"]
     assert "nothing was recorded" in out
     assert not (folder / "events").exists()
+
+
+SEED = "options.subpriority=1"
+NIGHTS = (
+    {"tile": [11, 12], "date": ["2099-01-03"] * 2, "state": ["done", "partly"]},
+    {"tile": [12], "date": ["2099-01-04"], "state": ["done"]},
+    {"tile": [13, 14], "date": ["2099-01-05"] * 2, "state": ["bad", "done"]},
+)
+
+
+@pytest.mark.parametrize("users", ["ppp", "cpc", "pcp", "pcc", "cpp"])
+def test_python_and_commands_continue_each_others_surveys(call, plan, files, tmp_path, users):
+    """All tiles, the outcomes and the selection of three nights equal those of commands only, in any turn."""
+    expected = plan("--set", SEED)
+    others = tmp_path / "others"
+    if users[0] == "c":
+        call(*COMMAND, *(files / "stars.fits", "--tiles", files / "tiles.ecsv", "--folder", others), "--set", SEED)
+    else:
+        sky, tiling = rs.Catalog.read(files / "stars.fits"), rs.Tiling.read(files / "tiles.ecsv")
+        sky = rs.Catalog(sky.coord, id=sky.id, priority=sky.priority, visits=sky.visits)  # not that of a file
+        options = rs.AllocationOptions("nearest", subpriority=1)
+        rs.plan_survey(sky, rs.Instrument.preset("sdss_apo"), tiling, allocator=options, folder=others)
+    for k, (user, night) in enumerate(zip(users, NIGHTS, strict=True)):
+        table = write(tmp_path / f"{k}.csv", **night)
+        call("record", expected, table)
+        call("survey", expected, "--replan")
+        if user == "c":
+            call("record", others, table)
+            call("survey", others, "--replan", "--workers", 2)
+        else:
+            rs.Survey.read(others).record(Table(night))
+            rs.Survey.read(others).replan()
+        assert parts_of(others) == parts_of(expected)
+        assert (others / "outcomes.fits").read_bytes() == (expected / "outcomes.fits").read_bytes()
+    _, lines = call("status", others)
+    same = {name: value for name, value in call("status", expected)[1].items() if not name.startswith("columns")}
+    assert {name: value for name, value in lines.items() if not name.startswith("columns")} == same
+    assert int(lines["finished"][0]) == rs.Survey.read(others).state().summary["n_tiles_observed"] == 3
+    call("select", others, "--n-realizations", 2, "--output", tmp_path / "selection.fits")
+    bits = rs.SelectionProbabilities.read(tmp_path / "selection.fits").bits
+    assert np.array_equal(bits, rs.Survey.read(expected).select(2).bits)
