@@ -7,7 +7,7 @@ from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._history._status import status_facts, survey_status
 from rfpsurvey.survey._joint._options import JOINT, JointOptions
-from rfpsurvey.survey._plan import plan_survey, prepare_request
+from rfpsurvey.survey._plan import continue_survey, plan_survey, prepare_request
 from rfpsurvey.survey._plan_file import (
     DEFAULT_CENTER,
     SurveyKeys,
@@ -37,6 +37,7 @@ __all__ = [
     "VisitRule",
     "allocator_of",
     "call_of",
+    "continue_survey",
     "diff_surveys",
     "in_order",
     "keys_in",

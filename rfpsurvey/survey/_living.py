@@ -101,18 +101,14 @@ class Living:
         return _plan_file.SurveyState.read(self.folder, catalog, **given)
 
     def replan(self, *, executor: object = None, progress: object = False, **changes: object) -> object:
-        """Plan the rest of the survey in its folder, after observations were recorded.
-
-        The targets, the instrument, the tiles and all options are those in the plan file of the folder, ``plan.toml``.
+        """Plan the rest of the survey in its folder, as `rfpsurvey.survey.continue_survey` does.
 
         Parameters
         ----------
         executor, progress : optional
             As in `plan_survey`.
         **changes : object
-            Parameters of `plan_survey` with other values than in the first plan: an ``instrument`` in which other
-            positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
-            parameters that the plan file cannot contain, such as a function as ``allocator``.
+            Parameters with other values than in the first plan, as in `rfpsurvey.survey.continue_survey`.
 
         Returns
         -------
@@ -122,11 +118,11 @@ class Living:
         Raises
         ------
         InputError
-            As `plan_survey`, and if a parameter that the plan file cannot contain is not given.
+            As `rfpsurvey.survey.continue_survey`.
         """
-        from rfpsurvey.survey._plan import replan
+        from rfpsurvey.survey._plan import continue_survey
 
-        return replan(self.folder, executor, progress, changes)
+        return continue_survey(self.folder, executor=executor, progress=progress, **changes)
 
     def status(self, until: str | None = None) -> QTable:
         """Return the numbers of observed, planned and other visits, as `rfpsurvey.survey.survey_status` does.

@@ -267,7 +267,7 @@ class Survey(Living):
             n = sum(name.startswith("tiles/") for name in known)
             remedy = "resume=True (--resume)"
             if (folder / EVENTS).is_dir():
-                remedy = "visits=SurveyState.read(...) and resume=True, or with rfpsurvey survey FOLDER --replan,"
+                remedy = "rs.survey.continue_survey(FOLDER), or with rfpsurvey survey FOLDER --replan,"
             raise InputError(
                 f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
                 f"survey with {remedy} before you read it"

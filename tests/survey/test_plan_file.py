@@ -215,6 +215,22 @@ def test_the_selection_of_a_survey_is_computed_from_its_folder(tmp_path):
     assert np.array_equal(survey.select(3).bits, expected.bits)
 
 
+def test_interrupted_surveys_are_continued(tmp_path):
+    def stop(done, total):
+        if done == 2:
+            raise KeyboardInterrupt
+
+    call, folder = make_call(columns, tmp_path), tmp_path / "plan"
+    expected = rs.plan_survey(**call)
+    with pytest.raises(KeyboardInterrupt):
+        rs.plan_survey(**call, folder=folder, progress=stop)
+    with pytest.raises(rs.InputError, match="not finished"):
+        rs.Survey.read(folder)
+    assert rs.survey.continue_survey(folder).outcomes["observed"].tolist() == expected.outcomes["observed"].tolist()
+    with pytest.raises(rs.InputError, match="does not hold a survey"):
+        rs.survey.continue_survey(tmp_path)
+
+
 def test_surveys_of_version_0_3_without_a_plan_file_say_what_to_do(tmp_path):
     survey = rs.plan_survey(**make_call(plain, tmp_path), folder=tmp_path / "plan")
     (tmp_path / "plan" / "plan.toml").unlink()
