@@ -15,13 +15,14 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._descriptions import Column, describe
+from rfpsurvey._executors import in_order
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
-from rfpsurvey.survey import Job, Request, Survey, in_order, prepare_request, reach_of
+from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 COLUMNS = table_of(

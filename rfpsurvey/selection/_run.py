@@ -12,6 +12,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._descriptions import Column, describe
+from rfpsurvey._executors import in_order
 from rfpsurvey._kernels.realizations import MOST
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
@@ -20,7 +21,7 @@ from rfpsurvey.selection._folder import NAME, SelectionFolder
 from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
 from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
 from rfpsurvey.selection._work import BlockDone, BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Job, Request, in_order
+from rfpsurvey.survey import Job, Request
 from rfpsurvey.tile import model_sentence
 
 IN_FLIGHT = 32

@@ -9,7 +9,6 @@ from rfpsurvey.survey._history._status import status_facts, survey_status
 from rfpsurvey.survey._joint._options import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
-from rfpsurvey.survey._run import in_order
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
@@ -23,7 +22,6 @@ __all__ = [
     "SurveyState",
     "VisitRule",
     "diff_surveys",
-    "in_order",
     "plan_survey",
     "prepare_request",
     "reach_of",

@@ -1,17 +1,15 @@
 """The loop over the tiles of a survey."""
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor
-from contextlib import contextmanager, nullcontext
+from collections.abc import Iterator
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from rfpsurvey import _io
-from rfpsurvey._executors import is_local, submit
+from rfpsurvey._executors import in_order, is_local
 from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey._progress import Progress
 from rfpsurvey._roles import has_role
@@ -27,8 +25,6 @@ from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import CountOfRule, counts_in, is_unknown
 from rfpsurvey.survey._work import DONE, Done, cards_of, early_sentences, flags_of, reach_of, work
 
-# Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
-IN_FLIGHT = 256
 # A task of an executor plans up to 8 tiles of a large round, because starting a task takes as long as planning a tile
 # by a simple rule. In rounds with fewer than 16 times as many tiles, tasks are smaller, so that all workers have tasks.
 TOGETHER, SHARE = 8, 16
@@ -163,66 +159,6 @@ def _jobs_of(request, tiles, state, folder, executor) -> Iterator:
             known = _read(folder, tile, job)
             job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
         yield job, job.bare(), known
-
-
-def in_order(
-    executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT, together: int = 1
-) -> Iterator:
-    """Yield the job of each tile, its result, and whether this run computed the result.
-
-    ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
-    it is submitted. With an executor, each task consists of ``together`` jobs, and at most ``most`` tiles, rounded up
-    to whole tasks, are submitted before the result of the first task is awaited.
-    """
-    waiting, jobs, together = deque(), iter(jobs), 1 if executor is None else together
-    try:
-        while part := list(islice(jobs, together)):
-            calls = [(job.tile, argument) for job, argument, known in part if known is None]
-            with _telling_remedy():
-                is_task = executor is not None and calls
-                results = submit(executor, _call, function, calls) if is_task else _call(function, calls)
-            waiting.append((part, results))
-            if executor is None or len(waiting) * together >= most:
-                yield from _take(waiting)
-        while waiting:
-            yield from _take(waiting)
-    finally:
-        for _, results in waiting:
-            if not isinstance(results, list):
-                results.cancel()
-
-
-def _take(waiting: deque) -> Iterator:
-    """Wait for the task that was submitted first, and yield each of its jobs, as `in_order` does."""
-    part, results = waiting.popleft()
-    with _telling_remedy():
-        new = iter(results if isinstance(results, list) else results.result())
-    for job, _, known in part:
-        yield job, next(new) if known is None else known, known is None
-
-
-def _call(function: Callable, calls: list) -> list:
-    """Call a function for each of several tiles; errors name the tile. Each call is a tile and an argument."""
-    found = []
-    for tile, argument in calls:
-        try:
-            found.append(function(argument))
-        except Exception as error:
-            error.add_note(f"while tile {tile} was planned")
-            raise
-    return found
-
-
-@contextmanager
-def _telling_remedy():
-    """Add a remedy to the message if a worker process ended abruptly."""
-    try:
-        yield
-    except BrokenExecutor as error:
-        text = (
-            "a worker process died; the files of finished tiles remain: continue the survey with resume=True (--resume)"
-        )
-        raise BrokenExecutor(text) from error
 
 
 def _read(folder, tile, job) -> Done | None:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from rfpsurvey._executors import map_in_order
+from rfpsurvey._executors import in_order, map_in_order
 from rfpsurvey._roles import has_role
 from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_subpriorities
@@ -43,11 +43,10 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
         done += 1
     for round_ in request.rounds:
-        tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
-        jobs = [state.open_job(request, tile) for tile in tiles.tolist()]
-        for tile, job, (target, side) in zip(
-            tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
-        ):
+        tiles = [tile for tile in round_.tolist() if tile not in fixed]
+        jobs = (state.open_job(request, tile) for tile in tiles)
+        results = in_order(executor, _plan, ((job, job.bare(), None) for job in jobs))
+        for tile, (job, (target, side), _) in zip(tiles, results, strict=True):
             n = len(job.field.slot)
             inside = np.where(target < n, target, -1)
             slot = np.where(target >= n, n - 2 - target, np.append(job.field.slot, -1)[inside])
