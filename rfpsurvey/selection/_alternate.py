@@ -163,7 +163,7 @@ def plan_history(
         Number of realizations of the block.
     plan_rounds : callable
         Function of a generation and a `State` that plans the tiles of the generation, records them in the state, and
-        yields the row, the job and the result of each tile.
+        yields the results as `run_rounds` does.
 
     Returns
     -------
@@ -175,7 +175,7 @@ def plan_history(
     history = History(len(generations[-1].request.source), n)
     for generation in generations:
         now, before = history.open_state(generation)
-        for tile, job, done in plan_rounds(generation, now):
+        for tile, job, done, _ in plan_rounds(generation, now):
             if tile in generation.observed:
                 history.keep(tile, generation, job.field.row, done)
     made = generation.request.source.to_slots(history.made)

@@ -15,14 +15,13 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._descriptions import Column, describe
-from rfpsurvey._executors import in_order
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
-from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of
+from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of, run_rounds
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 COLUMNS = table_of(
@@ -245,14 +244,17 @@ class PotentialAssignments:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
         everything = np.ones(len(request.source), dtype=np.uint8)
-        tiles = np.flatnonzero(~self._is_dropped).tolist()
-        jobs = (request.job(tile, everything) for tile in tiles)
-        given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in zip(tiles, jobs, strict=True))
+        tiles = np.flatnonzero(~self._is_dropped)
+
+        def open_job(tile: int) -> tuple:
+            job = request.job(tile, everything)
+            return job, ReachJob(job, self._colliding(tile)), None
+
         with Progress(self.progress, len(tiles), "tiles") as tell:
-            found = in_order(self.executor, reachable, given, IN_FLIGHT)
-            for k, (job, (own, target), _) in enumerate(found):
-                yield tiles[k], own, job.field.row[target]
-                tell(k + 1)
+            found = run_rounds([tiles], self.executor, reachable, open_job, lambda *_: None, most=IN_FLIGHT)
+            for k, (tile, job, (own, target), _) in enumerate(found, 1):
+                yield tile, own, job.field.row[target]
+                tell(k)
 
     @cached_property
     def _is_dropped(self) -> np.ndarray:

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
+from itertools import accumulate
 
 import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._descriptions import Column, describe
-from rfpsurvey._executors import in_order
 from rfpsurvey._kernels.realizations import MOST
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
@@ -21,7 +21,7 @@ from rfpsurvey.selection._folder import NAME, SelectionFolder
 from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
 from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
 from rfpsurvey.selection._work import BlockDone, BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Job, Request
+from rfpsurvey.survey import Job, Request, run_rounds
 from rfpsurvey.tile import model_sentence
 
 IN_FLIGHT = 32
@@ -108,11 +108,16 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
     """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
-    tiles = np.delete(np.arange(len(request.tiling)), request.dropped).tolist()
-    jobs = (request.job(tile, everything) for tile in tiles)
-    given = ((job, job, None) for job in jobs)
-    for k, (job, found, _) in enumerate(in_order(executor, reach_counts, given, IN_FLIGHT), 1):
+
+    def open_job(tile: int) -> tuple:
+        job = request.job(tile, everything)
+        return job, job, None
+
+    def enter(_, job: Job, found: np.ndarray) -> None:
         n_tiles[job.field.slot[found > 0]] += 1
+
+    tiles = [np.arange(len(request.tiling))]
+    for k, _ in enumerate(run_rounds(tiles, executor, reach_counts, open_job, enter, request.dropped, IN_FLIGHT), 1):
         tell(k)
     return n_tiles
 
@@ -126,45 +131,42 @@ def _plan_block(request, number: int, seeds, state: State, folder, executor, tel
     """Plan all tiles for the realizations of a block."""
     if folder is not None:
         folder.load_state(number, state, len(request.rounds))
-    done = begin + len(seeds) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
-    tell(done, new=False)
-    for tiles in request.rounds[state.n_rounds :]:
-        for _ in _plan_round(request, tiles, seeds, state, executor, together=together):
-            done += len(seeds)
-            tell(done)
-        state.n_rounds += 1
-        if folder is not None and state.n_rounds < len(request.rounds):
-            folder.save_state(number, state)
+    ends = [*accumulate(map(len, request.rounds), initial=0)]
+    tell(begin + len(seeds) * ends[state.n_rounds], new=False)
+    results = _plan_rounds(request, request.rounds[state.n_rounds :], seeds, state, executor, together=together)
+    for done, _ in enumerate(results, ends[state.n_rounds] + 1):
+        tell(begin + len(seeds) * done)
+        if done == ends[state.n_rounds + 1]:
+            state.n_rounds += 1
+            if folder is not None and done < ends[-1]:
+                folder.save_state(number, state)
 
 
 def _plan_generation(generation: Generation, state: State, *, seeds, executor, together) -> Iterator:
-    """Plan the tiles of a generation for the realizations of a block, and yield the results as `_plan_round` does."""
+    """Plan the tiles of a generation for the realizations of a block, and yield the results as `run_rounds` does."""
     request = generation.request if together else request_of(generation.request, seeds[0])
-    for tiles in generation.rounds:
-        yield from _plan_round(request, tiles, seeds, state, executor, generation.failed, together=together)
+    return _plan_rounds(request, generation.rounds, seeds, state, executor, generation.failed, together=together)
 
 
-def _plan_round(
-    request, tiles, seeds, state: State, executor, failed: Callable = lambda _: None, *, together: bool
-) -> Iterator[tuple[int, Job, BlockDone]]:
-    """Plan the tiles of a round for the realizations of a block, and record their visits in the state.
+def _plan_rounds(
+    request, rounds, seeds, state: State, executor, failed: Callable = lambda _: None, *, together: bool
+) -> Iterator[tuple]:
+    """Plan the tiles of all rounds for the realizations of a block, and yield the results as `run_rounds` does.
 
-    Yield the row, the job and the result of each tile. The function ``failed`` of the row of a tile returns the
-    positioners that failed when the tile was observed.
+    The function ``failed`` of the row of a tile returns the positioners that failed when the tile was observed.
     """
     has_field = any(one.uses_field for one in request.options.all_constraints)
 
-    def given() -> Iterator:
-        for tile in tiles.tolist():
-            job = request.job(tile, state.is_open)
-            if not has_field:  # no constraint uses the further columns
-                job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
-            yield job, BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
+    def open_job(tile: int) -> tuple:
+        job = request.job(tile, state.is_open)
+        if not has_field:  # no constraint uses the further columns
+            job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+        return job, BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
 
-    results = in_order(executor, plan_together if together else plan_alone, given(), IN_FLIGHT)
-    for tile, (job, found, _) in zip(tiles.tolist(), results, strict=True):
+    def enter(_, job: Job, found: BlockDone) -> None:
         state.enter(job.field.slot, found.mask, found.counts)
-        yield tile, job, found
+
+    return run_rounds(rounds, executor, plan_together if together else plan_alone, open_job, enter, most=IN_FLIGHT)
 
 
 def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:

@@ -9,6 +9,7 @@ from rfpsurvey.survey._history._status import status_facts, survey_status
 from rfpsurvey.survey._joint._options import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
+from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
@@ -25,6 +26,7 @@ __all__ = [
     "plan_survey",
     "prepare_request",
     "reach_of",
+    "run_rounds",
     "status_facts",
     "survey_facts",
     "survey_status",

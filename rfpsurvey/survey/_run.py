@@ -1,6 +1,5 @@
 """The loop over the tiles of a survey."""
 
-from collections.abc import Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
@@ -9,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from rfpsurvey import _io
-from rfpsurvey._executors import in_order, is_local
+from rfpsurvey._executors import is_local
 from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey._progress import Progress
 from rfpsurvey._roles import has_role
@@ -21,13 +20,10 @@ from rfpsurvey.survey._history._events import TileState
 from rfpsurvey.survey._joint._plan import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
+from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import CountOfRule, counts_in, is_unknown
 from rfpsurvey.survey._work import DONE, Done, cards_of, early_sentences, flags_of, reach_of, work
-
-# A task of an executor plans up to 8 tiles of a large round, because starting a task takes as long as planning a tile
-# by a simple rule. In rounds with fewer than 16 times as many tiles, tasks are smaller, so that all workers have tasks.
-TOGETHER, SHARE = 8, 16
 
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
@@ -47,33 +43,26 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         for text in early_sentences(request):
             warn(text)
         state = request.open_state()
-        round_of, parts = np.empty(n, dtype=np.int64), [None] * n
-        names = [name for name, _ in cards_of(request.options).values()]
-        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}
+        counts = {name: np.zeros(n, dtype=np.int64) for name, _ in cards_of(request.options).values()}
+        counts["n_observed"], parts = state.n_observed, [None] * n
         known = _enter_observed(request, folder, state, counts, parts)
         if request.joint is not None:
             request, joint, progress = plan_together(request, folder, executor, progress)
-        finished = len(known)
+        open_job = partial(_open_job, request, state, folder, is_local(executor))
         with Progress(progress, n, "tiles") as tell:
-            tell(finished, new=False)
-            for k, tiles in enumerate(request.rounds):
-                round_of[tiles] = k
-                tiles = tiles[~np.isin(tiles, known)]
-                together = int(np.clip(len(tiles) // SHARE, 1, TOGETHER))
-                results = in_order(executor, work, _jobs_of(request, tiles, state, folder, executor), together=together)
-                for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
-                    kept = state.enter(tile, job.field, done.flags, done.target, done.observed)
-                    if is_new and folder is not None:
-                        folder.put_part(tile, done.part)
-                    parts[tile] = done.visits
-                    for name, value in {**done.counts, "n_observed": kept}.items():
-                        counts[name][tile] = value
-                    finished += 1
-                    tell(finished, new=is_new)
+            tell(len(known), new=False)
+            results = run_rounds(request.rounds, executor, work, open_job, state.enter, known)
+            for finished, (tile, _, done, is_new) in enumerate(results, len(known) + 1):
+                if is_new and folder is not None:
+                    folder.put_part(tile, done.part)
+                parts[tile] = done.visits
+                for name, value in done.counts.items():
+                    counts[name][tile] = value
+                tell(finished, new=is_new)
         if state.windows is not None:
             state.windows.close()
         outcomes = outcome_table(request, state)
-        tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
+        tables = tile_table(request, state, counts, outcomes), completeness_table(request, state), outcomes
         if joint is not None:
             tables[0].meta["summary"]["joint"] = joint.meta["summary"]
         if folder is None:
@@ -118,7 +107,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts
-            found["n_observed"] = state.enter(tile, job.field, done.flags, done.target, done.observed & open_)
+            state.enter(tile, job, done._replace(observed=done.observed & open_))
         for name, value in found.items():
             counts.setdefault(name, np.zeros(len(request.tiling), dtype=np.int64))[tile] = value
     return [*history.closed, *history.begun]
@@ -147,18 +136,16 @@ def _mark_reached(request, state) -> None:
     state.flags[to_slots(own.made) > 0] |= DONE
 
 
-def _jobs_of(request, tiles, state, folder, executor) -> Iterator:
-    """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any.
+def _open_job(request, state, folder, writes: bool, tile: int) -> tuple:
+    """Return the job of a tile, the job that a worker receives, and the stored result of the tile, if any.
 
-    Workers on this machine write the file of a tile, unless they would replace another file.
+    If ``writes`` is true, workers write the file of the tile, unless they would replace another file.
     """
-    writes = is_local(executor)
-    for tile in tiles.tolist():
-        job, known = state.open_job(request, tile), None
-        if folder is not None:
-            known = _read(folder, tile, job)
-            job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
-        yield job, job.bare(), known
+    job, known = state.open_job(request, tile), None
+    if folder is not None:
+        known = _read(folder, tile, job)
+        job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
+    return job, job.bare(), known
 
 
 def _read(folder, tile, job) -> Done | None:

@@ -11,7 +11,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.survey import _run
+from rfpsurvey.survey import _rounds
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def content(folder):
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_workers_write_the_same_files(case, kind, tmp_path, monkeypatch):
-    monkeypatch.setattr(_run, "SHARE", 4)  # six tiles per task
+    monkeypatch.setattr(_rounds, "SHARE", 4)  # six tiles per task
     flat.plan_survey(*case, folder=tmp_path / "alone")
     if kind == "threads":
         executor = ThreadPoolExecutor(2)
