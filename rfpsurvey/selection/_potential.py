@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -243,15 +243,10 @@ class PotentialAssignments:
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
-        everything = np.ones(len(request.source), dtype=np.uint8)
-        tiles = np.flatnonzero(~self._is_dropped)
-
-        def open_job(tile: int) -> tuple:
-            job = request.job(tile, everything)
-            return job, ReachJob(job, self._colliding(tile)), None
-
+        open_job = partial(request.job, left=np.ones(len(request.source), dtype=np.uint8))
+        tiles, given = np.flatnonzero(~self._is_dropped), {"argument": self._argument, "most": IN_FLIGHT}
         with Progress(self.progress, len(tiles), "tiles") as tell:
-            found = run_rounds([tiles], self.executor, reachable, open_job, lambda *_: None, most=IN_FLIGHT)
+            found = run_rounds([tiles], self.executor, reachable, open_job, **given)
             for k, (tile, job, (own, target), _) in enumerate(found, 1):
                 yield tile, own, job.field.row[target]
                 tell(k)
@@ -265,13 +260,13 @@ class PotentialAssignments:
         table = self.survey.tiles
         return np.isin(names, np.asarray(table["tile"])[np.asarray(table["state"]) == "dropped"])
 
-    def _colliding(self, tile: int) -> np.ndarray:
-        """Return the rows of the positioners that lose their target to a collision in a tile."""
+    def _argument(self, tile: int, job: Job) -> tuple[ReachJob, None]:
+        """Return the job of a tile with the positioners that lose their target to a collision; they reach no point."""
         if self.survey is None:
-            return NO_ROWS
+            return ReachJob(job, NO_ROWS), None
         visits = self.survey.tile(self.request.tiling.table["tile"][tile])
         ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
-        return np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))
+        return ReachJob(job, np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))), None
 
 
 def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:

@@ -17,20 +17,24 @@ def run_rounds(
     executor: Executor | None,
     function: Callable,
     open_job: Callable,
-    enter: Callable,
+    enter: Callable = lambda *_: None,
+    *,
+    argument: Callable = lambda _, job: (job.bare(), None),
     known: Collection[int] = (),
     most: int = IN_FLIGHT,
 ) -> Iterator[tuple]:
     """Plan the tiles of all rounds; yield the row, the job and the result of each tile, and whether it is new.
 
-    The tiles of a round share no targets. ``open_job`` of a row makes the job from the state of the survey; it returns
-    the job, the argument of ``function``, which workers call, and the result if it is already known, as for `in_order`.
-    ``enter`` records the row, the job and the result in the state. The tiles in ``known`` are omitted.
+    The tiles of a round share no targets. For the row of a tile, ``open_job`` makes the job from the state of the
+    survey. For the row and the job, ``argument`` returns the argument of ``function``, which workers call, and the
+    result if it is already known. ``enter`` records the row, the job and the result in the state. The tiles in
+    ``known`` are omitted, and at most about ``most`` tiles wait for workers (see `in_order`).
     """
     for tiles in rounds:
         tiles = tiles[~np.isin(tiles, [*known])].tolist()
         together = max(min(len(tiles), most // 2) // SHARE, 1)
-        results = in_order(executor, function, map(open_job, tiles), most, together)
-        for tile, (job, done, is_new) in zip(tiles, results, strict=True):
+        jobs = map(open_job, tiles)
+        given = ((job, *argument(tile, job)) for tile, job in zip(tiles, jobs, strict=True))
+        for tile, (job, done, is_new) in zip(tiles, in_order(executor, function, given, most, together), strict=True):
             enter(tile, job, done)
             yield tile, job, done, is_new

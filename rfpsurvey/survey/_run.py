@@ -23,7 +23,7 @@ from rfpsurvey.survey._result import completeness_table, outcome_table, tile_tab
 from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import CountOfRule, counts_in, is_unknown
-from rfpsurvey.survey._work import DONE, Done, cards_of, early_sentences, flags_of, reach_of, work
+from rfpsurvey.survey._work import DONE, Done, Job, cards_of, early_sentences, flags_of, reach_of, work
 
 
 def run(request: Request, path, executor: Executor | None, progress, *, resume: bool) -> Survey:
@@ -48,10 +48,11 @@ def run(request: Request, path, executor: Executor | None, progress, *, resume: 
         known = _enter_observed(request, folder, state, counts, parts)
         if request.joint is not None:
             request, joint, progress = plan_together(request, folder, executor, progress)
-        open_job = partial(_open_job, request, state, folder, is_local(executor))
         with Progress(progress, n, "tiles") as tell:
             tell(len(known), new=False)
-            results = run_rounds(request.rounds, executor, work, open_job, state.enter, known)
+            open_job, argument = partial(state.open_job, request), partial(_argument, folder, is_local(executor))
+            given = {"argument": argument, "known": known}
+            results = run_rounds(request.rounds, executor, work, open_job, state.enter, **given)
             for finished, (tile, _, done, is_new) in enumerate(results, len(known) + 1):
                 if is_new and folder is not None:
                     folder.put_part(tile, done.part)
@@ -136,16 +137,15 @@ def _mark_reached(request, state) -> None:
     state.flags[to_slots(own.made) > 0] |= DONE
 
 
-def _open_job(request, state, folder, writes: bool, tile: int) -> tuple:
-    """Return the job of a tile, the job that a worker receives, and the stored result of the tile, if any.
+def _argument(folder, writes: bool, tile: int, job: Job) -> tuple[Job, Done | None]:
+    """Return the job that a worker receives, and the stored result of the tile, if any.
 
     If ``writes`` is true, workers write the file of the tile, unless they would replace another file.
     """
-    job, known = state.open_job(request, tile), None
-    if folder is not None:
-        known = _read(folder, tile, job)
-        job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
-    return job, job.bare(), known
+    if folder is None:
+        return job.bare(), None
+    known = _read(folder, tile, job)
+    return job._replace(as_file=True, path=folder.new_path(tile) if writes else None).bare(), known
 
 
 def _read(folder, tile, job) -> Done | None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -43,10 +44,6 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         state.left[observed.spent(request.builder)] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
 
-    def open_job(tile: int) -> tuple:
-        job = state.open_job(request, tile)
-        return job, job.bare(), None
-
     def enter(tile: int, job: Job, answer: tuple) -> None:
         (target, side), n = answer, len(job.field.slot)
         inside = np.where(target < n, target, -1)
@@ -54,7 +51,8 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
         state.enter(tile, job, Done(None, None, inside, np.ones(len(slot), dtype=bool), np.uint8(0), {}))
         plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
 
-    for done, _ in enumerate(run_rounds(request.rounds, executor, _plan, open_job, enter, fixed), len(fixed) + 1):
+    results = run_rounds(request.rounds, executor, _plan, partial(state.open_job, request), enter, known=fixed)
+    for done, _ in enumerate(results, len(fixed) + 1):
         tell(done)
     return plans
 
