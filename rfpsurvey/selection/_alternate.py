@@ -99,10 +99,13 @@ class History:
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
-    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone) -> None:
-        """Keep the visits of a tile that was observed with the plan of a generation; ``targets`` are their rows."""
-        good = dict(zip(generation.observed[row], done.good, strict=True))
-        self._visits[row, generation.number] = targets, done.mask, good, done.counts
+    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone, own: np.ndarray) -> None:
+        """Keep the visits of a tile that was observed with the plan of a generation.
+
+        ``targets`` are the rows of the targets of its field, and ``own`` selects those whose visits count.
+        """
+        good = {failed: mask[own] for failed, mask in zip(generation.observed[row], done.good, strict=True)}
+        self._visits[row, generation.number] = targets[own], done.mask[own], good, done.counts
 
     def _add(self, row: int, observation: Observation, sign: int) -> None:
         """Add the visits of an observation; with the sign -1, remove them, because the observation was corrected."""
@@ -167,6 +170,7 @@ def plan_history(
         now = history.open_state(generation)
         for tile, job, done, _ in plan_rounds(generation.request, generation.rounds, now, generation.failed):
             if tile in generation.observed:
-                history.keep(tile, generation, job.field.row, done)
+                own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
+                history.keep(tile, generation, job.field.row, done, own)
     made = generation.request.source.to_slots(history.made)
-    return now.masks() | to_mask((column > 0) & now.spends for column in made.T), history.counts + now.counts
+    return now.masks() | to_mask(column > 0 for column in made.T), history.counts + now.counts
