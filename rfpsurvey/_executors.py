@@ -1,13 +1,18 @@
 """Run function calls on executors, such as process pools; worker processes end when their parent process ends."""
 
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import BrokenExecutor, Executor, Future
 from contextlib import contextmanager
 from functools import cache, partial
+from itertools import islice
 
 from rfpsurvey._progress import Progress
 from rfpsurvey.errors import InputTypeError, short
+
+# Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
+IN_FLIGHT = 256
 
 
 def map_in_order(executor: Executor | None, function: Callable, *arguments: Iterable) -> Iterator:
@@ -37,6 +42,66 @@ def map_with_progress(
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
     """Submit a function call to an executor, and return the future of its result."""
     return executor.submit(_for_workers(executor, function), *arguments)
+
+
+def in_order(
+    executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT, together: int = 1
+) -> Iterator:
+    """Yield the job of each tile, its result, and whether this run computed the result.
+
+    ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
+    it is submitted. With an executor, each task consists of ``together`` jobs, and at most ``most`` tiles, rounded up
+    to whole tasks, are submitted before the result of the first task is awaited.
+    """
+    waiting, jobs, together = deque(), iter(jobs), 1 if executor is None else together
+    try:
+        while part := list(islice(jobs, together)):
+            calls = [(job.tile, argument) for job, argument, known in part if known is None]
+            with _telling_remedy():
+                is_task = executor is not None and calls
+                results = submit(executor, _call, function, calls) if is_task else _call(function, calls)
+            waiting.append((part, results))
+            if executor is None or len(waiting) * together >= most:
+                yield from _take(waiting)
+        while waiting:
+            yield from _take(waiting)
+    finally:
+        for _, results in waiting:
+            if not isinstance(results, list):
+                results.cancel()
+
+
+def _take(waiting: deque) -> Iterator:
+    """Wait for the task that was submitted first, and yield each of its jobs, as `in_order` does."""
+    part, results = waiting.popleft()
+    with _telling_remedy():
+        new = iter(results if isinstance(results, list) else results.result())
+    for job, _, known in part:
+        yield job, next(new) if known is None else known, known is None
+
+
+def _call(function: Callable, calls: list) -> list:
+    """Call a function for each of several tiles; errors name the tile. Each call is a tile and an argument."""
+    found = []
+    for tile, argument in calls:
+        try:
+            found.append(function(argument))
+        except Exception as error:
+            error.add_note(f"while tile {tile} was planned")
+            raise
+    return found
+
+
+@contextmanager
+def _telling_remedy():
+    """Add a remedy to the message if a worker process ended abruptly."""
+    try:
+        yield
+    except BrokenExecutor as error:
+        text = (
+            "a worker process died; the files of finished tiles remain: continue the survey with resume=True (--resume)"
+        )
+        raise BrokenExecutor(text) from error
 
 
 def is_local(executor: Executor | None) -> bool:

@@ -1,4 +1,4 @@
-"""Worker processes end when the process that started them ends."""
+"""Results in the order of the calls, and worker processes, which end when the process that started them ends."""
 
 import os
 import signal
@@ -6,13 +6,14 @@ import subprocess
 import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import nullcontext, suppress
 from threading import Event
+from typing import NamedTuple
 
 import pytest
 
 import rfpsurvey
-from rfpsurvey._executors import map_in_order, released, submit
+from rfpsurvey._executors import in_order, map_in_order, released, submit
 
 SECONDS = 5.0
 
@@ -109,3 +110,52 @@ def test_an_interrupt_does_not_wait_for_calls_that_still_run():
     with released(ThreadPoolExecutor(1)) as executor:
         done = executor.submit(sum, [1, 2])
     assert done.result(0) == 3
+
+
+class Named(NamedTuple):
+    """A job, of which only the name of the tile is needed."""
+
+    tile: int
+
+
+def jobs(known=()):
+    return ((Named(k), k, -k if k in known else None) for k in range(20))
+
+
+@pytest.mark.parametrize("together", [1, 3, 8, 50])
+@pytest.mark.parametrize("pool", [None, 1, 3])
+def test_the_results_are_in_order(together, pool):
+    known = {0, 4, 5, 6, 19}
+    with nullcontext() if pool is None else ThreadPoolExecutor(pool) as executor:
+        found = list(in_order(executor, lambda k: 2 * k, jobs(known), 7, together))
+    assert found == [(Named(k), -k if k in known else 2 * k, k not in known) for k in range(20)]
+
+
+@pytest.mark.parametrize("together", [1, 4])
+def test_an_error_names_its_tile_and_later_tasks_are_cancelled(together):
+    begun = []
+
+    def work(k):
+        begun.append(k)
+        return 1 // (k - 5)
+
+    with ThreadPoolExecutor(1) as executor, pytest.raises(ZeroDivisionError) as error:
+        for _ in in_order(executor, work, jobs(), 8, together):
+            pass
+    assert error.value.__notes__ == ["while tile 5 was planned"]
+    assert 5 in begun
+    assert len(begun) < 20
+
+
+def test_few_jobs_are_made_before_the_first_result_is_awaited():
+    made = []
+
+    def count():
+        for job in jobs():
+            made.append(job)
+            yield job
+
+    with ThreadPoolExecutor(1) as executor:
+        results = in_order(executor, abs, count(), 8, 4)
+        next(results)
+        assert len(made) == 8

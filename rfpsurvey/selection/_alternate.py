@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey.errors import InputError
-from rfpsurvey.selection._state import State
+from rfpsurvey.selection._state import State, to_bits, to_mask
 from rfpsurvey.selection._work import BlockDone
 from rfpsurvey.survey import Request, SurveyState
 
@@ -99,27 +99,28 @@ class History:
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
-    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone) -> None:
-        """Keep the visits of a tile that was observed with the plan of a generation; ``targets`` are their rows."""
-        good = dict(zip(generation.observed[row], done.good, strict=True))
-        self._visits[row, generation.number] = targets, done.mask, good, done.counts
+    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone, own: np.ndarray) -> None:
+        """Keep the visits of a tile that was observed with the plan of a generation.
+
+        ``targets`` are the rows of the targets of its field, and ``own`` selects those whose visits count.
+        """
+        good = {failed: mask[own] for failed, mask in zip(generation.observed[row], done.good, strict=True)}
+        self._visits[row, generation.number] = targets[own], done.mask[own], good, done.counts
 
     def _add(self, row: int, observation: Observation, sign: int) -> None:
         """Add the visits of an observation; with the sign -1, remove them, because the observation was corrected."""
         number, failed = observation
         targets, _, good, counts = self._visits[row, number]
-        self.counts[:, :2] += sign * counts
-        for r in range(self.made.shape[1]):
-            own = targets[(good[failed] >> np.uint32(r)) & np.uint32(1) > 0]
-            self.made[own, r] += np.int8(sign).astype(np.uint8)  # modulo 256
-            self.counts[r, 2] += sign * len(own)
+        made = sign * to_bits(good[failed], len(self.counts)).astype(np.int8)
+        self.made[targets] += made.astype(np.uint8)  # modulo 256
+        self.counts += sign * np.column_stack([counts, np.abs(made).sum(axis=0)])
 
-    def open_state(self, generation: Generation) -> tuple[State, np.ndarray]:
-        """Return the state of the targets before a generation is planned, and the remaining visits of observed tiles.
+    def open_state(self, generation: Generation) -> State:
+        """Return the state of the targets before a generation is planned.
 
-        In the state, the visits of partly observed tiles are already made.
+        The visits of partly observed tiles are then already made.
         """
-        n, request = self.made.shape[1], generation.request
+        request, builder = generation.request, generation.request.builder
         done = {row: one for row, one in generation.kept.items() if row in request.state.closed}
         for row in [*self._added]:
             if done.get(row) != self._added[row]:
@@ -127,27 +128,19 @@ class History:
         for row in {*done} - {*self._added}:
             self._added[row] = done[row]
             self._add(row, done[row], 1)
-        state, builder = State(request.builder, n), request.builder
-        size, to_slots = len(request.source), request.source.to_slots
-        for r in range(n):
-            made = to_slots(self.made[:size, r])
-            left = builder.wanted - np.minimum(made, builder.wanted)
+        state, size, to_slots = State(builder, len(self.counts)), len(request.source), request.source.to_slots
+        for r, made in enumerate(self.made[:size].T):
+            left = builder.wanted - np.minimum(to_slots(made), builder.wanted)
             state.left[:, r] = left if builder.reusable is None else np.where(builder.reusable, np.uint8(1), left)
+        state.first = state.left.copy()
         slot_of = np.empty(size, dtype=np.int64)
         slot_of[to_slots(np.arange(size))] = np.arange(size)
-        before = state.left.copy()
         for row in request.state.begun:
             targets, mask, _, counts = self._visits[row, generation.kept[row][0]]
-            state.enter(slot_of[targets], _open(mask, state.left[slot_of[targets]]), counts)
-        state.is_open = (state.left > 0).any(axis=1).astype(np.uint8)
-        return state, before
-
-
-def _open(mask: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Return the mask without visits to targets that have no remaining visits."""
-    for r in range(left.shape[1]):
-        mask = mask & ~((left[:, r] == 0).astype(np.uint32) << np.uint32(r))
-    return mask
+            slot = slot_of[targets]
+            state.record(slot, mask & to_mask(state.left[slot].T > 0), counts)
+        state.restore(state.left, state.counts)
+        return state
 
 
 def plan_history(
@@ -162,8 +155,8 @@ def plan_history(
     n : int
         Number of realizations of the block.
     plan_rounds : callable
-        Function of a generation and a `State` that plans the tiles of the generation, records them in the state, and
-        yields the row, the job and the result of each tile.
+        Function of a request, rounds of tiles, a `State` and `Generation.failed` that plans the tiles, records them in
+        the state, and yields the results as `run_rounds` does.
 
     Returns
     -------
@@ -174,9 +167,10 @@ def plan_history(
     """
     history = History(len(generations[-1].request.source), n)
     for generation in generations:
-        now, before = history.open_state(generation)
-        for tile, job, done in plan_rounds(generation, now):
+        now = history.open_state(generation)
+        for tile, job, done, _ in plan_rounds(generation.request, generation.rounds, now, generation.failed):
             if tile in generation.observed:
-                history.keep(tile, generation, job.field.row, done)
+                own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
+                history.keep(tile, generation, job.field.row, done, own)
     made = generation.request.source.to_slots(history.made)
-    return now.masks(before, made), history.counts + now.counts
+    return now.masks() | to_mask(column > 0 for column in made.T), history.counts + now.counts

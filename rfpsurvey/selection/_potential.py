@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
-from rfpsurvey.survey import Job, Request, Survey, in_order, prepare_request, reach_of
+from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of, run_rounds
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
 COLUMNS = table_of(
@@ -243,15 +243,13 @@ class PotentialAssignments:
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
-        everything = np.ones(len(request.source), dtype=np.uint8)
-        tiles = np.flatnonzero(~self._is_dropped).tolist()
-        jobs = (request.job(tile, everything) for tile in tiles)
-        given = ((job, ReachJob(job, self._colliding(tile)), None) for tile, job in zip(tiles, jobs, strict=True))
+        open_job = partial(request.job, left=np.ones(len(request.source), dtype=np.uint8))
+        tiles, given = np.flatnonzero(~self._is_dropped), {"argument": self._argument, "most": IN_FLIGHT}
         with Progress(self.progress, len(tiles), "tiles") as tell:
-            found = in_order(self.executor, reachable, given, IN_FLIGHT)
-            for k, (job, (own, target), _) in enumerate(found):
-                yield tiles[k], own, job.field.row[target]
-                tell(k + 1)
+            found = run_rounds([tiles], self.executor, reachable, open_job, **given)
+            for k, (tile, job, (own, target), _) in enumerate(found, 1):
+                yield tile, own, job.field.row[target]
+                tell(k)
 
     @cached_property
     def _is_dropped(self) -> np.ndarray:
@@ -262,13 +260,13 @@ class PotentialAssignments:
         table = self.survey.tiles
         return np.isin(names, np.asarray(table["tile"])[np.asarray(table["state"]) == "dropped"])
 
-    def _colliding(self, tile: int) -> np.ndarray:
-        """Return the rows of the positioners that lose their target to a collision in a tile."""
+    def _argument(self, tile: int, job: Job) -> tuple[ReachJob, None]:
+        """Return the job of a tile with the positioners that lose their target to a collision; they reach no point."""
         if self.survey is None:
-            return NO_ROWS
+            return ReachJob(job, NO_ROWS), None
         visits = self.survey.tile(self.request.tiling.table["tile"][tile])
         ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
-        return np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))
+        return ReachJob(job, np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))), None
 
 
 def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:

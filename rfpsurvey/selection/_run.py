@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
+from itertools import accumulate
 
 import numpy as np
 from astropy.table import QTable
@@ -15,12 +16,12 @@ from rfpsurvey._descriptions import Column, describe
 from rfpsurvey._kernels.realizations import MOST
 from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
-from rfpsurvey.selection._alternate import Generation, plan_history
+from rfpsurvey.selection._alternate import plan_history
 from rfpsurvey.selection._folder import NAME, SelectionFolder
 from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
 from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
-from rfpsurvey.selection._work import BlockDone, BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Job, Request, in_order
+from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
+from rfpsurvey.survey import Job, Request, run_rounds
 from rfpsurvey.tile import model_sentence
 
 IN_FLIGHT = 32
@@ -49,8 +50,7 @@ def run(
         if folder is not None and folder.verified(NAME) is not None:
             folder.finish()  # the earlier run may have ended between writing the result and removing the checkpoints
             return SelectionProbabilities.read(folder.path)
-        together = in_batch(request)
-        seeds, size, builder = seeds_of(request.seed, n), MOST if together else 1, request.builder
+        seeds, size, builder = seeds_of(request.seed, n), MOST if in_batch(request) else 1, request.builder
         bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
         counts = []
         tiles = len(request.tiling)
@@ -60,14 +60,12 @@ def run(
                 own = seeds[first : first + size]
                 done = None if folder is None else folder.load_block(number, len(builder.wanted), len(own))
                 is_known = done is not None
+                plan_rounds = partial(_plan_rounds, seeds=own, executor=executor)
                 if done is None and generations is not None:
-                    plan = partial(_plan_generation, seeds=own, executor=executor, together=together)
-                    done = plan_history(generations, len(own), plan)
+                    done = plan_history(generations, len(own), plan_rounds)
                 elif done is None:
                     state = State(builder, len(own))
-                    one = request if together else request_of(request, own[0])
-                    begin = tiles * (1 + first)
-                    _plan_block(one, number, own, state, folder, executor, tell, begin, together=together)
+                    _plan_block(request, number, state, folder, tell, tiles * (1 + first), plan_rounds)
                     done = state.masks(), state.counts
                 if folder is not None and not is_known:
                     folder.save_block(number, *done)
@@ -107,10 +105,9 @@ def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> 
     """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
     everything = np.ones(len(request.source), dtype=np.uint8)
-    tiles = np.delete(np.arange(len(request.tiling)), request.dropped).tolist()
-    jobs = (request.job(tile, everything) for tile in tiles)
-    given = ((job, job, None) for job in jobs)
-    for k, (job, found, _) in enumerate(in_order(executor, reach_counts, given, IN_FLIGHT), 1):
+    open_job, rounds = partial(request.job, left=everything), [np.arange(len(request.tiling))]
+    results = run_rounds(rounds, executor, reach_counts, open_job, known=request.dropped, most=IN_FLIGHT)
+    for k, (_, job, found, _) in enumerate(results, 1):
         n_tiles[job.field.slot[found > 0]] += 1
         tell(k)
     return n_tiles
@@ -121,49 +118,42 @@ def count_type(n: int) -> type:
     return np.uint16 if n < 1 << 16 else np.uint32
 
 
-def _plan_block(request, number: int, seeds, state: State, folder, executor, tell, begin: int, *, together) -> None:
+def _plan_block(request, number: int, state: State, folder, tell, begin: int, plan_rounds: Callable) -> None:
     """Plan all tiles for the realizations of a block."""
     if folder is not None:
         folder.load_state(number, state, len(request.rounds))
-    done = begin + len(seeds) * sum(len(tiles) for tiles in request.rounds[: state.n_rounds])
-    tell(done, new=False)
-    for tiles in request.rounds[state.n_rounds :]:
-        for _ in _plan_round(request, tiles, seeds, state, executor, together=together):
-            done += len(seeds)
-            tell(done)
-        state.n_rounds += 1
-        if folder is not None and state.n_rounds < len(request.rounds):
-            folder.save_state(number, state)
+    ends, n = [*accumulate(map(len, request.rounds), initial=0)], len(state.counts)
+    tell(begin + n * ends[state.n_rounds], new=False)
+    results = plan_rounds(request, request.rounds[state.n_rounds :], state)
+    for done, _ in enumerate(results, ends[state.n_rounds] + 1):
+        tell(begin + n * done)
+        if done == ends[state.n_rounds + 1]:
+            state.n_rounds += 1
+            if folder is not None and done < ends[-1]:
+                folder.save_state(number, state)
 
 
-def _plan_generation(generation: Generation, state: State, *, seeds, executor, together) -> Iterator:
-    """Plan the tiles of a generation for the realizations of a block, and yield the results as `_plan_round` does."""
-    request = generation.request if together else request_of(generation.request, seeds[0])
-    for tiles in generation.rounds:
-        yield from _plan_round(request, tiles, seeds, state, executor, generation.failed, together=together)
+def _plan_rounds(
+    request, rounds, state: State, failed: Callable = lambda _: None, *, seeds: list[int], executor
+) -> Iterator[tuple]:
+    """Plan the tiles of all rounds for the realizations of a block, and yield the results as `run_rounds` does.
 
-
-def _plan_round(
-    request, tiles, seeds, state: State, executor, failed: Callable = lambda _: None, *, together: bool
-) -> Iterator[tuple[int, Job, BlockDone]]:
-    """Plan the tiles of a round for the realizations of a block, and record their visits in the state.
-
-    Yield the row, the job and the result of each tile. The function ``failed`` of the row of a tile returns the
-    positioners that failed when the tile was observed.
+    The function ``failed`` of the row of a tile returns the positioners that failed when the tile was observed.
     """
-    has_field = any(one.uses_field for one in request.options.all_constraints)
+    has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
+    request = request if together else request_of(request, *seeds)
 
-    def given() -> Iterator:
-        for tile in tiles.tolist():
-            job = request.job(tile, state.is_open)
-            if not has_field:  # no constraint uses the further columns
-                job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
-            yield job, BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
+    def open_job(tile: int) -> Job:
+        job = request.job(tile, state.is_open)
+        if not has_field:  # no constraint uses the further columns
+            job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
+        return job
 
-    results = in_order(executor, plan_together if together else plan_alone, given(), IN_FLIGHT)
-    for tile, (job, found, _) in zip(tiles.tolist(), results, strict=True):
-        state.enter(job.field.slot, found.mask, found.counts)
-        yield tile, job, found
+    def argument(tile: int, job: Job) -> tuple[BlockJob, None]:
+        return BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
+
+    function = plan_together if together else plan_alone
+    return run_rounds(rounds, executor, function, open_job, state.enter, argument=argument, most=IN_FLIGHT)
 
 
 def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:

@@ -3,13 +3,15 @@
 The remaining visits are one byte per target and realization.
 """
 
+from collections.abc import Iterable
 from dataclasses import replace
 
 import numpy as np
 
 from rfpsurvey._kernels import realizations as kernels
 from rfpsurvey.pipeline import FieldBuilder
-from rfpsurvey.survey import Request
+from rfpsurvey.selection._work import BlockDone
+from rfpsurvey.survey import Job, Request
 
 
 def seeds_of(seed: int, n: int) -> list[int]:
@@ -45,40 +47,42 @@ class State:
     """
 
     def __init__(self, builder: FieldBuilder, n_realizations: int):
-        self.wanted = builder.wanted
-        self.spends = np.broadcast_to(np.True_, len(self.wanted)) if builder.spends is None else builder.spends
-        self.left = np.repeat(builder.left[:, None], n_realizations, axis=1)
-        self.is_open = (builder.left > 0).astype(np.uint8)
-        self.n_rounds = 0
-        """Number of finished rounds; a round is a group of tiles that share no targets."""
-        self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
-        """For each realization: numbers of assigned positioners, of lost targets, and of visits to science targets."""
+        self.spends = np.broadcast_to(np.True_, len(builder.left)) if builder.spends is None else builder.spends
+        self.first = np.broadcast_to(builder.left[:, None], (len(builder.left), n_realizations))
+        """Number of remaining visits of each target in each realization before the first tile."""
+        self.restore(self.first.copy(), np.zeros((n_realizations, 3), dtype=np.int64))
 
-    def enter(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
-        """Record the visits of a tile.
+    def enter(self, _, job: Job, done: BlockDone) -> None:
+        """Record the visits of a tile."""
+        self.record(job.field.slot, done.mask, done.counts)
 
-        For each target in ``slot``, bit r of ``mask`` is 1 if realization r visits the target. For each realization,
-        ``counts`` contains the number of positioners with a target and the number of targets lost to a collision.
-        """
+    def record(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
+        """Record the visits of a tile to the targets in ``slot``; the other parameters are those of `BlockDone`."""
         self.counts[:, :2] += counts
         observed = np.zeros(len(self.counts), dtype=np.int64)
         kernels.record_visits(mask, slot, self.spends, self.left, self.is_open, observed)
         self.counts[:, 2] += observed
 
-    def masks(self, before: np.ndarray | None = None, made: np.ndarray | None = None) -> np.ndarray:
-        """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,).
+    def masks(self) -> np.ndarray:
+        """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,)."""
+        return to_mask((now < before) & self.spends for now, before in zip(self.left.T, self.first.T, strict=True))
 
-        ``before`` contains the remaining visits before the first tile, by default the requested visits. ``made``
-        contains the numbers of further visits. Both have the shape (n_targets, n_realizations).
+    def restore(self, left: np.ndarray, counts: np.ndarray, n_rounds: int = 0) -> None:
+        """Replace this state by another state.
+
+        For each target and realization, ``left`` is the number of remaining visits. For each realization, ``counts``
+        contains the numbers of assigned positioners, of lost targets, and of visits to science targets. ``n_rounds`` is
+        the number of finished rounds, which are groups of tiles that share no targets.
         """
-        mask = np.zeros(len(self.wanted), dtype=np.uint32)
-        for r in range(self.left.shape[1]):
-            observed = self.left[:, r] < (self.wanted if before is None else before[:, r])
-            observed |= False if made is None else made[:, r] > 0
-            mask |= (observed & self.spends).astype(np.uint32) << np.uint32(r)
-        return mask
-
-    def restore(self, left: np.ndarray, counts: np.ndarray, n_rounds: int) -> None:
-        """Replace this state by a stored state."""
         self.left, self.counts, self.n_rounds = left, counts, n_rounds
         self.is_open = (left > 0).any(axis=1).astype(np.uint8)
+
+
+def to_mask(columns: Iterable[np.ndarray]) -> np.ndarray:
+    """Return a mask for each target, whose bit r is its value in column r."""
+    return sum(column.astype(np.uint32) << np.uint32(r) for r, column in enumerate(columns))
+
+
+def to_bits(mask: np.ndarray, n: int) -> np.ndarray:
+    """Return the first n bits of each mask as booleans, shape (n_targets, n)."""
+    return (mask[:, None] >> np.arange(n, dtype=np.uint32)) & np.uint32(1) > 0

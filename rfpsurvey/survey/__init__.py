@@ -20,7 +20,7 @@ from rfpsurvey.survey._plan_file import (
     tiles_of,
 )
 from rfpsurvey.survey._request import Request
-from rfpsurvey.survey._run import in_order
+from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
@@ -39,12 +39,12 @@ __all__ = [
     "call_of",
     "continue_survey",
     "diff_surveys",
-    "in_order",
     "keys_in",
     "plan_survey",
     "prepare_request",
     "reach_of",
     "read_tiles",
+    "run_rounds",
     "state_in",
     "status_facts",
     "survey_facts",

@@ -3,9 +3,9 @@
 import numpy as np
 
 from rfpsurvey._roles import has_role
-from rfpsurvey.pipeline import FieldRows, Outcome, category_classes, priority_classes
+from rfpsurvey.pipeline import Outcome, category_classes, priority_classes
 from rfpsurvey.survey._cadences import Windows
-from rfpsurvey.survey._work import DONE, EXCLUDED, LOST_IN_COLLISION, REACHED, SEEN, flags_of, reach_of
+from rfpsurvey.survey._work import DONE, EXCLUDED, LOST_IN_COLLISION, REACHED, SEEN, Done, Job, flags_of, reach_of
 
 
 class Tally:
@@ -97,6 +97,8 @@ class Bookkeeping:
         self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
         self._lasting = builder.lasting
         self._surplus = builder.surplus
+        self.n_observed = np.zeros(len(self._number), dtype=np.int64)
+        """Number of successful visits of each tile to science targets."""
         classes = classes_by_column(*(builder.source.by_slot(name) for name in ("priority", "category")), self.wanted)
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
         self.tallies = {column: Tally(*one, self.wanted, n_passes) for column, one in classes.items()}
@@ -133,14 +135,11 @@ class Bookkeeping:
         columns = targets.columns._replace(subpriority=-order.astype(float))
         return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
 
-    def enter(self, tile: int, field: FieldRows, flags: np.ndarray, target: np.ndarray, observed: np.ndarray) -> int:
-        """Record the visits of a tile, and return the number of successful visits to science targets.
-
-        ``flags`` contains the flags of the targets of the field (see `flags_of`). ``target`` is the index of the target
-        of each visit in the field (-1 for blank sky), and ``observed`` states whether each visit was successful.
-        """
-        self.flags[field.slot] |= flags
-        slot, observed, number = field.slot[target[target >= 0]], observed[target >= 0], self._number[tile]
+    def enter(self, tile: int, job: Job, done: Done) -> None:
+        """Record the visits of the tile in row ``tile``."""
+        field, number, is_target = job.field, self._number[tile], done.target >= 0
+        self.flags[field.slot] |= done.flags
+        slot, observed = field.slot[done.target[is_target]], done.observed[is_target]
         self.flags[slot[~observed]] |= LOST_IN_COLLISION
         slot = slot[observed]
         self.flags[slot] |= DONE
@@ -162,7 +161,7 @@ class Bookkeeping:
             last = self._last[complete]
         for tally in self.tallies.values():
             tally.add(number, slot, complete, last)
-        return len(slot)
+        self.n_observed[tile] = len(slot)
 
     def done(self) -> np.ndarray:
         """Return the number of successful visits to each target; 0 for standards and sky positions."""

@@ -13,12 +13,13 @@ from rfpsurvey.tile import model_sentence
 from rfpsurvey.tiling import when_of
 
 
-def tile_table(request, state: Bookkeeping, round_of: np.ndarray, counts: dict, outcomes: QTable) -> QTable:
+def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> QTable:
     """Return a table with a row for each tile, and with the summary and the provenance of the survey in its meta."""
     names = ["tile", "ra", "dec", "position_angle", "pass"]
     when = None if request.conditions is None else when_of(request.tiling.table)
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
-    table["round"] = round_of
+    sizes = [len(tiles) for tiles in request.rounds]
+    table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
     lacking = {name: values for name, values in counts.items() if isinstance(name, CountOfRule)}
     counts = {name: values for name, values in counts.items() if name not in lacking}
     if request.joint is not None:

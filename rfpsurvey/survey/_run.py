@@ -1,17 +1,14 @@
 """The loop over the tiles of a survey."""
 
-from collections import deque
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import BrokenExecutor, Executor
-from contextlib import contextmanager, nullcontext
+from concurrent.futures import Executor
+from contextlib import nullcontext
 from functools import partial
-from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from rfpsurvey import _io
-from rfpsurvey._executors import is_local, submit
+from rfpsurvey._executors import is_local
 from rfpsurvey._folder import check_file, read_index, read_verified
 from rfpsurvey._progress import Progress
 from rfpsurvey._roles import has_role
@@ -23,15 +20,10 @@ from rfpsurvey.survey._history._events import TileState
 from rfpsurvey.survey._joint._plan import plan_together
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
+from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import CountOfRule, counts_in, is_unknown
-from rfpsurvey.survey._work import DONE, Done, cards_of, early_sentences, flags_of, reach_of, work
-
-# Largest number of tiles that are submitted to an executor before the result of the first of these tiles is awaited.
-IN_FLIGHT = 256
-# A task of an executor plans up to 8 tiles of a large round, because starting a task takes as long as planning a tile
-# by a simple rule. In rounds with fewer than 16 times as many tiles, tasks are smaller, so that all workers have tasks.
-TOGETHER, SHARE = 8, 16
+from rfpsurvey.survey._work import DONE, Done, Job, cards_of, early_sentences, flags_of, reach_of, work
 
 
 def run(
@@ -58,33 +50,27 @@ def run(
         for text in early_sentences(request):
             warn(text)
         state = request.open_state()
-        round_of, parts = np.empty(n, dtype=np.int64), [None] * n
-        names = [name for name, _ in cards_of(request.options).values()]
-        counts = {name: np.zeros(n, dtype=np.int64) for name in (*names, "n_observed")}
+        counts = {name: np.zeros(n, dtype=np.int64) for name, _ in cards_of(request.options).values()}
+        counts["n_observed"], parts = state.n_observed, [None] * n
         known = _enter_observed(request, folder, state, counts, parts)
         if request.joint is not None:
             request, joint, progress = plan_together(request, folder, executor, progress)
-        finished = len(known)
         with Progress(progress, n, "tiles") as tell:
-            tell(finished, new=False)
-            for k, tiles in enumerate(request.rounds):
-                round_of[tiles] = k
-                tiles = tiles[~np.isin(tiles, known)]
-                together = int(np.clip(len(tiles) // SHARE, 1, TOGETHER))
-                results = in_order(executor, work, _jobs_of(request, tiles, state, folder, executor), together=together)
-                for tile, (job, done, is_new) in zip(tiles.tolist(), results, strict=True):
-                    kept = state.enter(tile, job.field, done.flags, done.target, done.observed)
-                    if is_new and folder is not None:
-                        folder.put_part(tile, done.part)
-                    parts[tile] = done.visits
-                    for name, value in {**done.counts, "n_observed": kept}.items():
-                        counts[name][tile] = value
-                    finished += 1
-                    tell(finished, new=is_new)
+            tell(len(known), new=False)
+            open_job, argument = partial(state.open_job, request), partial(_argument, folder, is_local(executor))
+            given = {"argument": argument, "known": known}
+            results = run_rounds(request.rounds, executor, work, open_job, state.enter, **given)
+            for finished, (tile, _, done, is_new) in enumerate(results, len(known) + 1):
+                if is_new and folder is not None:
+                    folder.put_part(tile, done.part)
+                parts[tile] = done.visits
+                for name, value in done.counts.items():
+                    counts[name][tile] = value
+                tell(finished, new=is_new)
         if state.windows is not None:
             state.windows.close()
         outcomes = outcome_table(request, state)
-        tables = tile_table(request, state, round_of, counts, outcomes), completeness_table(request, state), outcomes
+        tables = tile_table(request, state, counts, outcomes), completeness_table(request, state), outcomes
         if joint is not None:
             tables[0].meta["summary"]["joint"] = joint.meta["summary"]
         if folder is None:
@@ -129,7 +115,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
             found = done.counts
-            found["n_observed"] = state.enter(tile, job.field, done.flags, done.target, done.observed & open_)
+            state.enter(tile, job, done._replace(observed=done.observed & open_))
         for name, value in found.items():
             counts.setdefault(name, np.zeros(len(request.tiling), dtype=np.int64))[tile] = value
     return [*history.closed, *history.begun]
@@ -158,78 +144,15 @@ def _mark_reached(request, state) -> None:
     state.flags[to_slots(own.made) > 0] |= DONE
 
 
-def _jobs_of(request, tiles, state, folder, executor) -> Iterator:
-    """Yield, for each tile, its job, the job that a worker receives, and the stored result of the tile, if any.
+def _argument(folder, writes: bool, tile: int, job: Job) -> tuple[Job, Done | None]:
+    """Return the job that a worker receives, and the stored result of the tile, if any.
 
-    Workers on this machine write the file of a tile, unless they would replace another file.
+    If ``writes`` is true, workers write the file of the tile, unless they would replace another file.
     """
-    writes = is_local(executor)
-    for tile in tiles.tolist():
-        job, known = state.open_job(request, tile), None
-        if folder is not None:
-            known = _read(folder, tile, job)
-            job = job._replace(as_file=True, path=folder.new_path(tile) if writes else None)
-        yield job, job.bare(), known
-
-
-def in_order(
-    executor: Executor | None, function: Callable, jobs: Iterable, most: int = IN_FLIGHT, together: int = 1
-) -> Iterator:
-    """Yield the job of each tile, its result, and whether this run computed the result.
-
-    ``jobs`` yields the job, the argument of ``function``, and the result if it is already known; a job is created when
-    it is submitted. With an executor, each task consists of ``together`` jobs, and at most ``most`` tiles, rounded up
-    to whole tasks, are submitted before the result of the first task is awaited.
-    """
-    waiting, jobs, together = deque(), iter(jobs), 1 if executor is None else together
-    try:
-        while part := list(islice(jobs, together)):
-            calls = [(job.tile, argument) for job, argument, known in part if known is None]
-            with _telling_remedy():
-                is_task = executor is not None and calls
-                results = submit(executor, _call, function, calls) if is_task else _call(function, calls)
-            waiting.append((part, results))
-            if executor is None or len(waiting) * together >= most:
-                yield from _take(waiting)
-        while waiting:
-            yield from _take(waiting)
-    finally:
-        for _, results in waiting:
-            if not isinstance(results, list):
-                results.cancel()
-
-
-def _take(waiting: deque) -> Iterator:
-    """Wait for the task that was submitted first, and yield each of its jobs, as `in_order` does."""
-    part, results = waiting.popleft()
-    with _telling_remedy():
-        new = iter(results if isinstance(results, list) else results.result())
-    for job, _, known in part:
-        yield job, next(new) if known is None else known, known is None
-
-
-def _call(function: Callable, calls: list) -> list:
-    """Call a function for each of several tiles; errors name the tile. Each call is a tile and an argument."""
-    found = []
-    for tile, argument in calls:
-        try:
-            found.append(function(argument))
-        except Exception as error:
-            error.add_note(f"while tile {tile} was planned")
-            raise
-    return found
-
-
-@contextmanager
-def _telling_remedy():
-    """Add a remedy to the message if a worker process ended abruptly."""
-    try:
-        yield
-    except BrokenExecutor as error:
-        text = (
-            "a worker process died; the files of finished tiles remain: continue the survey with resume=True (--resume)"
-        )
-        raise BrokenExecutor(text) from error
+    if folder is None:
+        return job.bare(), None
+    known = _read(folder, tile, job)
+    return job._replace(as_file=True, path=folder.new_path(tile) if writes else None).bare(), known
 
 
 def _read(folder, tile, job) -> Done | None:

@@ -30,35 +30,23 @@ def observe(survey, tile, date, failed=(), fraction=1.0):
         survey.record(Table({"tile": [tile] * len(used), "date": [date] * len(used), "positioner": sorted(used)}))
 
 
-def plan_in(folder, stars, options, seed):
-    """Return a function that plans a survey or, given the survey, plans its rest."""
-
-    def plan(survey=None):
-        state = {} if survey is None else {"visits": survey.state(stars), "resume": True}
-        return rs.plan_survey(stars, INSTRUMENT, TILES, allocator=options, folder=folder, rng=seed, **state)
-
-    return plan
-
-
-def live(stars, folder, options, seed, failed):
+def live(plan, stars, failed):
     """Plan a survey, record three nights, plan the rest after each night, and return the last plan and its state."""
-    plan = plan_in(folder, stars, options, seed)
     survey = plan()
     observe(survey, 1, "2026-01-03", failed[1])
     observe(survey, 4, "2026-01-03", fraction=0.5)
     observe(survey, 3, "2026-01-03", fraction=0.0)
     survey = plan(survey)
-    observe(survey, 0, "2026-01-04")
+    observe(survey, 0, "2026-01-04", failed.get(0, ()))
     new = {"target": [10**6, 5], "state": ["added", "dropped"], "ra": [120.3, np.nan], "dec": [30.3, np.nan]}
     survey.record(Table({**new, "priority": [5, np.nan]}))
     survey = plan(survey)
     observe(survey, 4, "2026-01-05", failed[4])
-    return plan(survey), survey.state(stars)
+    return plan(survey)
 
 
-def live_and_correct(stars, folder, options, seed, failed):
+def live_and_correct(plan, stars, failed):
     """Plan a survey whose observations are completed and corrected after the rest was planned."""
-    plan = plan_in(folder, stars, options, seed)
     survey = plan()
     observe(survey, 1, "2026-01-03")
     observe(survey, 4, "2026-01-03", fraction=0.5)
@@ -69,7 +57,36 @@ def live_and_correct(stars, folder, options, seed, failed):
     survey.record(Table({"tile": [0, 3], "date": ["2026-01-04", ""], "state": ["bad", "dropped"]}))
     survey = plan(survey)
     observe(survey, 2, "2026-01-05")
-    return plan(survey), survey.state(stars)
+    return plan(survey)
+
+
+def compare(life, stars, tmp_path, allocator, failed, rule=None, n=2, **options):
+    """Compare realizations with surveys of the same seeds that are observed in the same way.
+
+    Return the survey, its state and the realizations.
+    """
+
+    def repeat(folder, seed, subpriority, failed):
+        asked = rs.AllocationOptions(allocator, subpriority=subpriority, **options)
+
+        def plan(survey=None):
+            given = {"visits": rule} if survey is None else {"visits": survey.state(stars, rule=rule), "resume": True}
+            return rs.plan_survey(stars, INSTRUMENT, TILES, allocator=asked, folder=folder, rng=seed, **given)
+
+        return life(plan, stars, failed)
+
+    survey = repeat(tmp_path / "survey", 0, 1, failed)
+    state = survey.state(stars, rule=rule)
+    # what failed is known only for positioners that had a target
+    failed = {row: list(event.failed) for row, event in state.kept.items()}
+    found = rs.selection_probabilities(
+        state, INSTRUMENT, TILES, n, allocator=rs.AllocationOptions(allocator, **options)
+    )
+    for r, seed in enumerate(found.realizations["seed"].tolist()):
+        own = repeat(tmp_path / f"{r}", seed, seed, failed)
+        np.testing.assert_array_equal(found.observed_in(r), np.asarray(own.outcomes["observed"]) > 0)
+        assert found.realizations["n_observed"][r] == own.summary["n_visits_observed"]
+    return survey, state, found
 
 
 @pytest.mark.filterwarnings("ignore:rng has no effect")
@@ -78,17 +95,9 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
     """Regression: realizations omitted partly observed tiles, plans after which an observation was corrected, and the
     order in which failures were reported."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    options = rs.AllocationOptions(allocator, subpriority=1)
-    survey, state = live_and_correct(stars, tmp_path / "survey", options, 0, {1: names[::3]})
-    failed = {row: list(event.failed) for row, event in state.kept.items()}
-    assert len(failed[1]) > 20
+    survey, state, found = compare(live_and_correct, stars, tmp_path, allocator, {1: names[::3]})
+    assert len(state.kept[1].failed) > 20
     assert len(state.begun) == 1
-    found = rs.selection_probabilities(state, INSTRUMENT, TILES, 2, allocator=allocator)
-    for r, seed in enumerate(found.realizations["seed"].tolist()):
-        options = rs.AllocationOptions(allocator, subpriority=seed)
-        own, _ = live_and_correct(stars, tmp_path / f"{r}", options, seed, failed)
-        np.testing.assert_array_equal(found.observed_in(r), np.asarray(own.outcomes["observed"]) > 0)
-        assert found.realizations["n_observed"][r] == own.summary["n_visits_observed"]
     kept = [0, 1, 2, 4]  # the last tile was dropped
     reached = rs.selection.potential_assignments(stars, INSTRUMENT, TILES, survey=survey)
     assert len(reached) == found.summary["n_tiles"] == 4
@@ -102,21 +111,22 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
 def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
     """The tiles that were observed are observed in each realization with its own plans; the same positioners fail."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    failed = names[::7]
-    options = rs.AllocationOptions(allocator, subpriority=1)
-    _, state = live(stars, tmp_path / "survey", options, 0, dict.fromkeys((1, 4), failed))
-    # what failed is known only for positioners that had a target
-    failed = {row: list(event.failed) for row, event in state.kept.items()}
-    assert failed[1]
-    assert failed[4]
-    found = rs.selection_probabilities(state, INSTRUMENT, TILES, 2, allocator=allocator)
-    for r, seed in enumerate(found.realizations["seed"].tolist()):
-        options = rs.AllocationOptions(allocator, subpriority=seed)
-        survey, _ = live(stars, tmp_path / f"{r}", options, seed, failed)
-        np.testing.assert_array_equal(found.observed_in(r), np.asarray(survey.outcomes["observed"]) > 0)
-        assert found.realizations["n_observed"][r] == survey.summary["n_visits_observed"]
+    _, state, found = compare(live, stars, tmp_path, allocator, dict.fromkeys((1, 4), names[::7]))
+    assert state.kept[1].failed
+    assert state.kept[4].failed
     assert found.requested[5] == 0
     assert found.requested[-1] == 1
+
+
+@pytest.mark.filterwarnings("ignore:rng has no effect", "ignore:.*requirement", "ignore:required targets")
+@pytest.mark.parametrize("kinds", [["science", "standard", "sky"], ["science", "science+standard", "sky"]])
+@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "repair"])
+def test_visits_to_standards_are_not_counted(stars, tmp_path, allocator, kinds):
+    """Regression: the numbers of visits to science targets counted those to standards in tiles that were observed."""
+    kind = np.random.default_rng(3).choice(kinds, len(stars), p=[0.6, 0.3, 0.1])
+    targets = rs.Catalog(stars.coord, priority=stars.priority, visits=stars.visits, kind=kind)
+    more = {"required": targets.id[::10]} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
+    compare(live, targets, tmp_path, allocator, {1: [], 4: []}, **more)
 
 
 def test_rules_that_depend_on_observations_are_refused(stars, tmp_path):

@@ -163,7 +163,7 @@ def test_a_finished_survey_with_cadences_is_read_and_not_planned_again(tmp_path,
     catalog, tiling = scene(1)
     options = {"visits": Cadences(TABLE), "allocator": "nearest", "folder": tmp_path / "survey"}
     survey = rs.plan_survey(catalog, instrument(), tiling, **options)
-    monkeypatch.setattr(rs.survey._run, "_jobs_of", None)
+    monkeypatch.setattr(rs.survey._run, "run_rounds", None)
     again = rs.plan_survey(catalog, instrument(), tiling, **options, resume=True)
     assert again.summary == survey.summary
 

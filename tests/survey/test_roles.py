@@ -73,7 +73,7 @@ def test_targets_without_remaining_visits_keep_their_other_roles(seed, way, allo
     assert survey.summary["n_visits_observed"] == observed.sum()
     if folder is not None:
         with pytest.MonkeyPatch.context() as patch:  # a finished survey is read, and not planned again
-            patch.setattr(_run, "_jobs_of", None)
+            patch.setattr(_run, "run_rounds", None)
             again = rs.plan_survey(given, instrument(), tiles, allocator=options, folder=folder, resume=True)
         assert again.summary == survey.summary
 

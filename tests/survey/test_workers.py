@@ -2,8 +2,6 @@
 
 import multiprocessing
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
-from contextlib import nullcontext
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -13,56 +11,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.survey import _run, in_order
-
-
-class Named(NamedTuple):
-    """A job, of which only the name of the tile is needed."""
-
-    tile: int
-
-
-def jobs(known=()):
-    return ((Named(k), k, -k if k in known else None) for k in range(20))
-
-
-@pytest.mark.parametrize("together", [1, 3, 8, 50])
-@pytest.mark.parametrize("pool", [None, 1, 3])
-def test_the_results_are_in_order(together, pool):
-    known = {0, 4, 5, 6, 19}
-    with nullcontext() if pool is None else ThreadPoolExecutor(pool) as executor:
-        found = list(in_order(executor, lambda k: 2 * k, jobs(known), 7, together))
-    assert found == [(Named(k), -k if k in known else 2 * k, k not in known) for k in range(20)]
-
-
-@pytest.mark.parametrize("together", [1, 4])
-def test_an_error_names_its_tile_and_later_tasks_are_cancelled(together):
-    begun = []
-
-    def work(k):
-        begun.append(k)
-        return 1 // (k - 5)
-
-    with ThreadPoolExecutor(1) as executor, pytest.raises(ZeroDivisionError) as error:
-        for _ in in_order(executor, work, jobs(), 8, together):
-            pass
-    assert error.value.__notes__ == ["while tile 5 was planned"]
-    assert 5 in begun
-    assert len(begun) < 20
-
-
-def test_few_jobs_are_made_before_the_first_result_is_awaited():
-    made = []
-
-    def count():
-        for job in jobs():
-            made.append(job)
-            yield job
-
-    with ThreadPoolExecutor(1) as executor:
-        results = in_order(executor, abs, count(), 8, 4)
-        next(results)
-        assert len(made) == 8
+from rfpsurvey.survey import _rounds
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +29,7 @@ def content(folder):
 
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_workers_write_the_same_files(case, kind, tmp_path, monkeypatch):
-    monkeypatch.setattr(_run, "SHARE", 4)  # six tiles per task
+    monkeypatch.setattr(_rounds, "SHARE", 4)  # six tiles per task
     flat.plan_survey(*case, folder=tmp_path / "alone")
     if kind == "threads":
         executor = ThreadPoolExecutor(2)

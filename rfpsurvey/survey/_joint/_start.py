@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -13,7 +14,8 @@ from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_s
 from rfpsurvey.pipeline import FieldBuilder, FieldRows
 from rfpsurvey.survey._joint._fixed import TilePlan, candidates_of
 from rfpsurvey.survey._joint._network import Network, make_network
-from rfpsurvey.survey._work import Job, plan_of, projection_of
+from rfpsurvey.survey._rounds import run_rounds
+from rfpsurvey.survey._work import Done, Job, plan_of, projection_of
 
 
 def _plan(job: Job):
@@ -37,24 +39,21 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    state, plans, done = request.open_state(), [None] * len(request.tiling), 0
+    state, plans = request.open_state(), [None] * len(request.tiling)
     for tile, observed in fixed.items():
         state.left[observed.spent(request.builder)] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
-        done += 1
-    for round_ in request.rounds:
-        tiles = np.array([tile for tile in round_.tolist() if tile not in fixed], dtype=np.int64)
-        jobs = [state.open_job(request, tile) for tile in tiles.tolist()]
-        for tile, job, (target, side) in zip(
-            tiles.tolist(), jobs, map_in_order(executor, _plan, [job.bare() for job in jobs]), strict=True
-        ):
-            n = len(job.field.slot)
-            inside = np.where(target < n, target, -1)
-            slot = np.where(target >= n, n - 2 - target, np.append(job.field.slot, -1)[inside])
-            state.enter(tile, job.field, np.zeros(n, dtype=np.uint8), inside, np.ones(len(slot), dtype=bool))
-            plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
-            done += 1
-            tell(done)
+
+    def enter(tile: int, job: Job, answer: tuple) -> None:
+        (target, side), n = answer, len(job.field.slot)
+        inside = np.where(target < n, target, -1)
+        slot = np.where(target >= n, n - 2 - target, np.append(job.field.slot, -1)[inside])
+        state.enter(tile, job, Done(None, None, inside, np.ones(len(slot), dtype=bool), np.uint8(0), {}))
+        plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
+
+    results = run_rounds(request.rounds, executor, _plan, partial(state.open_job, request), enter, known=fixed)
+    for done, _ in enumerate(results, len(fixed) + 1):
+        tell(done)
     return plans
 
 
