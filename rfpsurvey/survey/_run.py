@@ -1,5 +1,6 @@
 """The loop over the tiles of a survey."""
 
+from collections.abc import Callable
 from concurrent.futures import Executor
 from contextlib import nullcontext
 from functools import partial
