@@ -127,7 +127,7 @@ class RequestFolder:
 
     def _read(self):
         """Read the index of unfinished work."""
-        known, n_strange = _read_index(self.path)
+        known, n_strange = read_lines(self.path)
         self._known = {name: entries for name, entries in known.items() if self._belongs(name)}
         if n_strange or len(self._known) < len(known):
             text = f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again"
@@ -236,10 +236,10 @@ def read_index(path: Path) -> dict[str, list[tuple[int, str]]]:
 
     Incomplete lines are omitted. A file that was replaced has several sizes and checksums.
     """
-    return _read_index(path)[0]
+    return read_lines(path)[0]
 
 
-def _read_index(path: Path):
+def read_lines(path: Path) -> tuple[dict[str, list[tuple[int, str]]], int]:
     """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
     if not is_present(path / INDEX):
         return {}, 0
@@ -264,7 +264,7 @@ def load_request(path: Path) -> dict:
         content = content_of(path, most=MOST_REQUEST)
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
     except InputError as error:
-        raise InputError(f"{path} is damaged ({error}); start again in another folder") from None
+        raise InputError(f"{path} is damaged ({error}); restore it, or start again in another folder") from None
 
 
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:

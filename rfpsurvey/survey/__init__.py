@@ -10,6 +10,7 @@ from rfpsurvey.survey._joint._options import JOINT, JointOptions
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._run import in_order
+from rfpsurvey.survey._stored import verify_survey
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
@@ -30,5 +31,6 @@ __all__ = [
     "status_facts",
     "survey_facts",
     "survey_status",
+    "verify_survey",
     "work",
 ]
