@@ -11,11 +11,12 @@ import re
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes, writing_to, written
 from rfpsurvey._outputs import check_parent
-from rfpsurvey._readers import content_of, is_present, open_file, parse_json, suffix_of
+from rfpsurvey._readers import content_of, is_present, open_file, parse_json, read_arrays, suffix_of
 from rfpsurvey._temporary import remove, temporary
 from rfpsurvey.errors import InputError, warn
 
@@ -71,7 +72,8 @@ class RequestFolder:
     """Name of the file of the request."""
     work: str
     parts: str
-    """Words for error messages: the kind of work in the folder, and the parts into which the work is divided."""
+    again: str
+    """Words for messages: the kind of work in the folder, its parts, and the consequence of a damaged file."""
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
@@ -181,6 +183,33 @@ class RequestFolder:
 
     def _write_index(self, entries):
         write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
+
+    def verified(self, name: str) -> Path | None:
+        """Return the path of a file, or None if the file is missing or damaged; a damaged file causes a warning."""
+        path = self.path / name
+        if name not in self._known or not path.exists():
+            return None
+        try:
+            check_file(self.path, name, self._known)
+        except InputError as error:
+            warn(f"{error}; {self.again}")
+            return None
+        return path
+
+    def load(self, name: str, **expected: tuple[str, tuple]) -> dict[str, np.ndarray] | None:
+        """Return the arrays of a file, or None if the file is missing or damaged.
+
+        ``expected`` contains the type and the shape of each array.
+        """
+        path = self.verified(f"{name}.npz")
+        if path is None:
+            return None
+        try:
+            with open_file(path) as file:
+                return read_arrays(file, expected, "the archive")
+        except InputError as error:
+            warn(f"{path} is damaged ({error}); {self.again}")
+            return None
 
     def finish(self) -> None:
         """Sort the lines of the index, so that the index does not depend on the order in which files were written."""

@@ -30,7 +30,8 @@ COLUMNS = {
 }
 """Columns that the tables must have."""
 VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
-"""Columns that the file of each tile must have."""
+KINDS = {"target_row": ("i", "integers"), "in_collision": ("b", "booleans"), "observed": ("b", "booleans")}
+"""Columns that the file of each tile must have, and the types of some of them."""
 ENTRIES = {"events": dict, "first": dict, "columns": dict, "required_ids": list, "planned": str}
 """Entries of a request that are used without a comparison with those of another request, and their types."""
 MOST_FILE = 2**28
@@ -56,7 +57,7 @@ class Folder(RequestFolder):
     """
 
     request_name = "survey.json"
-    work, parts = "survey", "tiles"
+    work, parts, again = "survey", "tiles", "it is made again"
 
     def __init__(self, path: object, request, *, resume: bool):
         super().__init__(path, request.recorded(), resume=resume)
@@ -171,10 +172,6 @@ class Folder(RequestFolder):
         known = self._known.get(name, [(0, "")])[-1][1]
         return known == digest and verified(self.path / name, digest) is not None
 
-    def distrust(self, tile: int, reason: str) -> None:
-        """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
-        warn(f"the tile in row {tile} of the tiling is planned again: {reason}")
-
     def new_path(self, tile: int) -> Path | None:
         """Return the path of the file of a tile, or None if the index already describes this file."""
         name = part_name(tile)
@@ -189,14 +186,6 @@ class Folder(RequestFolder):
             self.put_file(part_name(tile), part)
         else:
             self.record(part_name(tile), *part)
-
-    def file(self, name: str) -> bytes | None:
-        """Return the content of a file, or None if there is no valid file; a damaged file causes a warning."""
-        try:
-            return read_verified(self.path, name, self._known) if name in self._known else None
-        except InputError as error:
-            warn(str(error))
-            return None
 
     def put_file(self, name: str, content: bytes) -> None:
         """Write a file of the survey; if its parent folder does not exist, make this folder."""
@@ -257,6 +246,9 @@ def parse_visits(content: bytes, path: object, tile: object) -> tuple[np.ndarray
     """Return the visits and the header in the file of a tile, or raise an error if it is another file."""
     visits, cards = read_fits_bytes(content, path)
     _check_columns(path, visits.dtype.names, VISITS)
+    for name, (kind, words) in KINDS.items():
+        if visits.dtype[name].kind != kind:
+            raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
     named = cards.get("TILE", tile)
     if str(named).rstrip() != str(tile).rstrip():
         raise InputError(f"{path} must be the file of tile {tile}, got that of tile {named}")

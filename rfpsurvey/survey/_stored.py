@@ -14,9 +14,9 @@ from rfpsurvey._io import TEMPORARY_PREFIX
 from rfpsurvey._methods import table_of
 from rfpsurvey._readers import content_of, is_present, sentence
 from rfpsurvey._roles import has_role
-from rfpsurvey.catalog import PartitionedCatalog, as_catalog
+from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.constraints import with_present_texts
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, warn
 from rfpsurvey.survey import _folder
 from rfpsurvey.survey._columns import ALSO_SCIENCE, LOST_TO_RULES, N_LOST
 from rfpsurvey.survey._history._catalogs import check_first_catalog
@@ -48,7 +48,7 @@ def read_part(folder, tile, job) -> Done | None:
         if done.counts["n_in_field"] != len(job.field.row):
             raise InputError("its stored result was planned for a different set of targets with remaining visits")
     except InputError as error:
-        folder.distrust(tile, str(error))
+        warn(f"the tile in row {tile} of the tiling is planned again: {error}")
         return None
     return done
 
@@ -68,7 +68,9 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
     lacking = [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")
-    _check_part(visits, {card: cards[card] for card in counted})
+    wrong = [card for card in counted if not 0 <= cards[card] < 2**53]
+    if wrong:
+        raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")
     cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
@@ -78,17 +80,6 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
     reach = reach_of(job)
     flags = flags_of(reach.pairs.covered, reach.applied.excluded)
     return Done(None, None, target, visits["observed"].astype(bool), flags, counts_in(cards, every))
-
-
-def _check_part(visits: np.ndarray, cards: dict) -> None:
-    """Raise an error if the stored visits of a tile, or their numbers, have other types or are impossible."""
-    for name, kind in (("target_row", "i"), ("in_collision", "b"), ("observed", "b")):
-        words = {"i": "integers", "b": "booleans"}[kind]
-        if visits.dtype[name].kind != kind:
-            raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
-    wrong = [card for card, number in cards.items() if not 0 <= number < 2**53]
-    if wrong:
-        raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")
 
 
 def read_finished(folder: Path, request: Request) -> Survey | None:
@@ -147,20 +138,16 @@ def verify_survey(folder: str | os.PathLike, catalog: object = None) -> QTable:
     folder = _io.to_path(folder)
     if not is_present(folder / REQUEST):
         Survey.read(folder)  # raises an error
-    damaged, others = _damaged(folder)
-    if catalog is not None and REQUEST not in damaged:
-        catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-        try:
-            check_first_catalog(_folder.read_request(folder), catalog, None, VisitRule())
-        except InputError as error:
-            damaged[REQUEST] = str(error), RESTORED
+    if not (catalog is None or isinstance(catalog, PartitionedCatalog)):
+        catalog = as_catalog(catalog)
+    damaged, others = _damaged(folder, catalog=catalog)
     columns = np.array([(name, *damaged[name]) for name in sorted(damaged)], dtype=str).reshape(-1, 3).T
     table = QTable(dict(zip(DAMAGES, columns, strict=True)))
     table.meta = {"made_by": "verify_survey", "others": others}
     return describe(table, DAMAGES)
 
 
-def _damaged(folder: Path, events: Events | None = None) -> tuple[dict[str, tuple[str, str]], list[str]]:
+def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | PartitionedCatalog | None = None) -> tuple:
     """Check all files of a survey.
 
     Parameters
@@ -169,6 +156,8 @@ def _damaged(folder: Path, events: Events | None = None) -> tuple[dict[str, tupl
         The folder.
     events : Events, optional
         The events with which the survey was planned; by default, those in the folder, which are checked.
+    catalog : Catalog or PartitionedCatalog, optional
+        The targets of the first plan.
 
     Returns
     -------
@@ -191,6 +180,8 @@ def _damaged(folder: Path, events: Events | None = None) -> tuple[dict[str, tupl
             return None
 
     request = check(REQUEST, RESTORED, _folder.read_request, folder) or {}
+    if catalog is not None:
+        check(REQUEST, RESTORED, check_first_catalog, request, catalog, None, VisitRule())
     known, n_strange = check(INDEX, MADE, read_lines, folder) or ({}, 0)
     if n_strange or not known:
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
@@ -216,8 +207,8 @@ def _damaged(folder: Path, events: Events | None = None) -> tuple[dict[str, tupl
     expected = {*known, *_folder.TABLES} if is_begun else {*known}
     for name in sorted(one for one in expected if not one.startswith("tiles/")):
         check(name, MADE, check_file, folder, name, known)
-    is_finished = is_begun and not damaged.keys() & {*_folder.TABLES, _folder.JOINT}
-    survey = check(REQUEST, RESTORED, Survey.read, folder) if is_finished else None
+    is_readable = is_begun and not damaged.keys() & {*_folder.TABLES, _folder.JOINT}
+    survey = check(REQUEST, RESTORED, Survey.read, folder) if is_readable else None
     states, planned = {} if survey is None else dict(enumerate(survey._states)), []
     rows = {_folder.part_name(row): row for row, state in states.items() if state != TileState.DROPPED}
     for name in sorted(one for one in {*known, *rows} if one.startswith("tiles/")):
