@@ -11,11 +11,12 @@ import re
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
 
+import numpy as np
 from filelock import FileLock, Timeout
 
 from rfpsurvey._io import TEMPORARY_PREFIX, to_path, write_bytes, writing_to, written
 from rfpsurvey._outputs import check_parent
-from rfpsurvey._readers import content_of, is_present, open_file, parse_json, suffix_of
+from rfpsurvey._readers import content_of, is_present, open_file, parse_json, read_arrays, suffix_of
 from rfpsurvey._temporary import remove, temporary
 from rfpsurvey.errors import InputError, warn
 
@@ -71,7 +72,8 @@ class RequestFolder:
     """Name of the file of the request."""
     work: str
     parts: str
-    """Words for error messages: the kind of work in the folder, and the parts into which the work is divided."""
+    again: str
+    """Words for messages: the kind of work in the folder, its parts, and the consequence of a damaged file."""
 
     def __init__(self, path: object, request: dict, *, resume: bool):
         self.path = to_path(path)
@@ -127,7 +129,7 @@ class RequestFolder:
 
     def _read(self):
         """Read the index of unfinished work."""
-        known, n_strange = _read_index(self.path)
+        known, n_strange = read_lines(self.path)
         self._known = {name: entries for name, entries in known.items() if self._belongs(name)}
         if n_strange or len(self._known) < len(known):
             text = f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again"
@@ -181,6 +183,33 @@ class RequestFolder:
 
     def _write_index(self, entries):
         write_bytes(self.path / INDEX, "".join([HEADER, *(_line(*entry) for entry in entries)]).encode())
+
+    def verified(self, name: str) -> Path | None:
+        """Return the path of a file, or None if the file is missing or damaged; a damaged file causes a warning."""
+        path = self.path / name
+        if name not in self._known or not path.exists():
+            return None
+        try:
+            check_file(self.path, name, self._known)
+        except InputError as error:
+            warn(f"{error}; {self.again}")
+            return None
+        return path
+
+    def load(self, name: str, **expected: tuple[str, tuple]) -> dict[str, np.ndarray] | None:
+        """Return the arrays of a file, or None if the file is missing or damaged.
+
+        ``expected`` contains the type and the shape of each array.
+        """
+        path = self.verified(f"{name}.npz")
+        if path is None:
+            return None
+        try:
+            with open_file(path) as file:
+                return read_arrays(file, expected, "the archive")
+        except InputError as error:
+            warn(f"{path} is damaged ({error}); {self.again}")
+            return None
 
     def finish(self) -> None:
         """Sort the lines of the index, so that the index does not depend on the order in which files were written."""
@@ -236,10 +265,10 @@ def read_index(path: Path) -> dict[str, list[tuple[int, str]]]:
 
     Incomplete lines are omitted. A file that was replaced has several sizes and checksums.
     """
-    return _read_index(path)[0]
+    return read_lines(path)[0]
 
 
-def _read_index(path: Path):
+def read_lines(path: Path) -> tuple[dict[str, list[tuple[int, str]]], int]:
     """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
     if not is_present(path / INDEX):
         return {}, 0
@@ -264,7 +293,7 @@ def load_request(path: Path) -> dict:
         content = content_of(path, most=MOST_REQUEST)
         return parse_json(content.decode("utf-8", "backslashreplace"), "the request")
     except InputError as error:
-        raise InputError(f"{path} is damaged ({error}); start again in another folder") from None
+        raise InputError(f"{path} is damaged ({error}); restore it, or start again in another folder") from None
 
 
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:

@@ -9,7 +9,8 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._cli import _app, _main, _print
-from rfpsurvey.survey import state_in, status_facts, survey_status
+from rfpsurvey.errors import number_of
+from rfpsurvey.survey import state_in, status_facts, survey_status, verify_survey
 
 
 @_main.app.command(cls=_main.Command)
@@ -28,6 +29,9 @@ def status(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Check all files, list those that are missing or damaged, and exit.")
+    ] = False,
 ) -> None:
     """Print what a survey has observed, what is planned, and what remains.
 
@@ -36,7 +40,18 @@ def status(
     rfpsurvey status plan
     rfpsurvey status plan --until 2026-01-31 --output targets.fits
     rfpsurvey status plan --plot status.png --report status.html
+    rfpsurvey status plan --verify
     """
+    if verify:
+        if any(one is not None for one in (until, output, plot, report)):
+            raise rs.InputError("--verify must be given without other options, got other options")
+        damaged = verify_survey(folder)
+        for row in damaged:
+            print(f"{row['file']}: {row['problem']}; {row['remedy']}")
+        for name in damaged.meta["others"]:
+            print(f"{name}: does not belong to the survey, and is not used")
+        print(f"{number_of(len(damaged), 'file')} missing or damaged")
+        raise typer.Exit(len(damaged) > 0)
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
     survey, state = rs.Survey.read(folder), state_in(folder, tell=_print.print_text, until=until)

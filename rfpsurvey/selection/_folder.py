@@ -1,15 +1,13 @@
 """The folder that stores the state of an unfinished computation of selection probabilities, and then its result."""
 
-from pathlib import Path
 from time import monotonic
 
 import numpy as np
 
-from rfpsurvey._folder import RequestFolder, check_file
+from rfpsurvey._folder import RequestFolder
 from rfpsurvey._io import written
-from rfpsurvey._readers import open_file, read_arrays
 from rfpsurvey.constraints import with_present_texts
-from rfpsurvey.errors import InputError, warn
+from rfpsurvey.errors import InputError
 from rfpsurvey.selection._state import State
 
 EVERY = 60.0
@@ -26,7 +24,7 @@ class SelectionFolder(RequestFolder):
     """
 
     request_name = "selection.json"
-    work, parts = "computation of selection probabilities", "realizations"
+    work, parts, again = "computation of selection probabilities", "realizations", "its tiles are planned again"
 
     def _compare(self, before: dict, now: dict):
         super()._compare(with_present_texts(before, now), now)
@@ -34,33 +32,6 @@ class SelectionFolder(RequestFolder):
     def _open(self):
         super()._open()
         self._last = monotonic()
-
-    def verified(self, name: str) -> Path | None:
-        """Return the path of a file, or None if the file is missing or damaged; a damaged file causes a warning."""
-        path = self.path / name
-        if name not in self._known or not path.exists():
-            return None
-        try:
-            check_file(self.path, name, self._known)
-        except InputError as error:
-            warn(f"{error}; its tiles are planned again")
-            return None
-        return path
-
-    def load(self, name: str, **expected: tuple[str, tuple]) -> dict[str, np.ndarray] | None:
-        """Return the arrays of a file, or None if the file is missing or damaged.
-
-        ``expected`` contains the type and the shape of each array.
-        """
-        path = self.verified(f"{name}.npz")
-        if path is None:
-            return None
-        try:
-            with open_file(path) as file:
-                return read_arrays(file, expected, "the archive")
-        except InputError as error:
-            warn(f"{path} is damaged ({error}); its tiles are planned again")
-            return None
 
     def save(self, name: str, **arrays: np.ndarray) -> None:
         """Write arrays to a file; if writing fails, no incomplete file remains."""

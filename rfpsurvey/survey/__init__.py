@@ -21,6 +21,7 @@ from rfpsurvey.survey._plan_file import (
 )
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._rounds import run_rounds
+from rfpsurvey.survey._stored import verify_survey
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import Job, reach_of, work
 
@@ -51,5 +52,6 @@ __all__ = [
     "survey_status",
     "targets_of",
     "tiles_of",
+    "verify_survey",
     "work",
 ]

@@ -3,16 +3,17 @@
 import hashlib
 import json
 import os
-from collections.abc import Callable
+import re
 from dataclasses import replace
 from datetime import UTC, date, datetime
 from pathlib import Path
 
+import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._folder import INDEX, RequestFolder, load_request, read_verified
+from rfpsurvey._folder import INDEX, RequestFolder, check_file, load_request, read_verified
 from rfpsurvey._io import write_bytes, write_table, written
-from rfpsurvey._readers import content_of, is_present
+from rfpsurvey._readers import content_of, is_present, read_fits_bytes, read_table
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.constraints import with_present_texts
 from rfpsurvey.errors import InputError, warn
@@ -21,9 +22,22 @@ TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
 ABOUT = (*TABLES, JOINT, "joint/state.npz")
 """Files that describe the whole survey."""
+COLUMNS = {
+    "tiles.fits": ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
+    "completeness.ecsv": ("pass", "priority", "n_targets", "n_requested", "n_observed", "n_complete", "completeness"),
+    "outcomes.fits": ("target_id", "requested", "observed", "outcome"),
+    JOINT: (),
+}
+"""Columns that the tables must have."""
+VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
+KINDS = {"target_row": ("i", "integers"), "in_collision": ("b", "booleans"), "observed": ("b", "booleans")}
+"""Columns that the file of each tile must have, and the types of some of them."""
+ENTRIES = {"events": dict, "first": dict, "columns": dict, "required_ids": list, "planned": str}
+"""Entries of a request that are used without a comparison with those of another request, and their types."""
 MOST_FILE = 2**28
 EVENTS, PLANS = "events", "events/plans"
 """Folders of recorded events, and of copies of plans with which tiles were observed."""
+DATE_LINE = re.compile(r"(tiles/\d+/\d+\.fits),([0-9a-f]{64}),(|\d{4}-\d\d-\d\d)")
 DATES = f"{EVENTS}/plans.csv"
 """File with the checksum of the former plan of each tile, and the date on which this plan was made."""
 
@@ -43,7 +57,7 @@ class Folder(RequestFolder):
     """
 
     request_name = "survey.json"
-    work, parts = "survey", "tiles"
+    work, parts, again = "survey", "tiles", "it is made again"
 
     def __init__(self, path: object, request, *, resume: bool):
         super().__init__(path, request.recorded(), resume=resume)
@@ -54,6 +68,7 @@ class Folder(RequestFolder):
 
     def _compare(self, before: dict, now: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
+        _check_entries(self.path / self.request_name, before)
         # earlier versions did not write all entries; the entry required, which can be a digest, is compared
         before = {"given": now["given"], "extra": now["extra"], **before, "required_ids": now["required_ids"]}
         before = with_present_texts(before, now)
@@ -123,10 +138,9 @@ class Folder(RequestFolder):
         for name, entries in self._known.items():
             if dates.get(name, ("",))[0] != entries[-1][1]:
                 dates[name] = entries[-1][1], self._planned
-        lines = [",".join((name, *entry)) + "\n" for name, entry in sorted(dates.items()) if name not in ABOUT]
         if self._known:
             (self.path / EVENTS).mkdir(exist_ok=True)
-            write_bytes(self.path / DATES, "".join(lines).encode(), sync=True)
+            write_bytes(self.path / DATES, dates_text(dates).encode(), sync=True)
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
         for event in self._state.events.of_tiles():
@@ -158,10 +172,6 @@ class Folder(RequestFolder):
         known = self._known.get(name, [(0, "")])[-1][1]
         return known == digest and verified(self.path / name, digest) is not None
 
-    def distrust(self, tile: int, reason: str) -> None:
-        """Issue a warning that the stored result of a tile is not used, and that the tile is planned again."""
-        warn(f"the tile in row {tile} of the tiling is planned again: {reason}")
-
     def new_path(self, tile: int) -> Path | None:
         """Return the path of the file of a tile, or None if the index already describes this file."""
         name = part_name(tile)
@@ -177,14 +187,6 @@ class Folder(RequestFolder):
         else:
             self.record(part_name(tile), *part)
 
-    def file(self, name: str, complain: Callable[[str], None] = warn) -> bytes | None:
-        """Return the content of a file, or None if there is no valid file; ``complain`` is called for damaged files."""
-        try:
-            return read_verified(self.path, name, self._known) if name in self._known else None
-        except InputError as error:
-            complain(str(error))
-            return None
-
     def put_file(self, name: str, content: bytes) -> None:
         """Write a file of the survey; if its parent folder does not exist, make this folder."""
         with written(self.path):
@@ -195,6 +197,68 @@ class Folder(RequestFolder):
         """Write a table of the survey to a file; ``cards`` and ``title`` are those of `write_table`."""
         with self.writing(name) as own:
             write_table(table, own, cards=cards, name=title)
+
+
+def read_request(folder: Path) -> dict:
+    """Return the request of the survey in a folder, or raise an error if it is damaged; {} if there is none."""
+    path = folder / Folder.request_name
+    if not is_present(path) and not is_present(folder / EVENTS):
+        return {}
+    request = load_request(path)
+    _check_entries(path, request)
+    return request
+
+
+def _check_entries(path: Path, request: dict) -> None:
+    """Raise an error if entries of a request are missing or have other types; earlier versions wrote fewer entries."""
+    needed = {"first": ["events"], "columns": ["given", "extra", "required_ids"]}
+    wrong = [name for one, names in needed.items() if one in request for name in names if name not in request]
+    wrong += [name for name, kind in ENTRIES.items() if not isinstance(request.get(name, kind()), kind)]
+    if not wrong:
+        about, required = {"n_files": 0, "digest": ""} | request.get("events", {}), request.get("required", [])
+        ids = request.get("required_ids", required)
+        wrong += [] if isinstance(about["n_files"], int) and isinstance(about["digest"], str) else ["events"]
+        # long lists are recorded as digests
+        wrong += ["required_ids"] * (isinstance(required, list) and not {*map(str, required)} <= {*map(str, ids)})
+    if wrong:
+        raise InputError(f"{path} is damaged (its entry {wrong[0]} is missing, or has another type); restore it")
+
+
+def read_stored_table(folder: Path, name: str, known: dict) -> QTable:
+    """Return a table of a survey, or raise an error if its file is missing or damaged; ``known`` is the index."""
+    check_file(folder, name, known)
+    table = read_table(folder / name)
+    _check_columns(folder / name, table.colnames, COLUMNS[name])
+    if name == TABLES[0] and not all(isinstance(table.meta.get(one), dict) for one in ("summary", "provenance")):
+        raise InputError(f"{folder / name} must hold the summary and the provenance of a survey, got none")
+    return table
+
+
+def read_visits(folder: Path, row: int, known: dict, tile: object) -> tuple[np.ndarray, dict]:
+    """Return the visits of a tile and the header of its file, or raise an error if the file is missing or damaged.
+
+    ``known`` is the index of the folder, and ``tile`` is the identifier of the tile.
+    """
+    return parse_visits(read_verified(folder, part_name(row), known), folder / part_name(row), tile)
+
+
+def parse_visits(content: bytes, path: object, tile: object) -> tuple[np.ndarray, dict]:
+    """Return the visits and the header in the file of a tile, or raise an error if it is another file."""
+    visits, cards = read_fits_bytes(content, path)
+    _check_columns(path, visits.dtype.names, VISITS)
+    for name, (kind, words) in KINDS.items():
+        if visits.dtype[name].kind != kind:
+            raise InputError(f"its column {name} must contain {words}, got the type {visits.dtype[name]}")
+    named = cards.get("TILE", tile)
+    if str(named).rstrip() != str(tile).rstrip():
+        raise InputError(f"{path} must be the file of tile {tile}, got that of tile {named}")
+    return visits, cards
+
+
+def _check_columns(path: Path, names: tuple, needed: tuple) -> None:
+    lacking = [name for name in needed if name not in (names or ())]
+    if lacking:
+        raise InputError(f"{path} must have the columns of a survey, got a table without {', '.join(lacking)}")
 
 
 def number_in(tiles: str) -> int:
@@ -214,9 +278,18 @@ def plan_dates(folder: Path) -> dict[str, tuple[str, str]]:
 
     If the present plan of a tile has another checksum, it was made on the date ``planned`` in the request.
     """
-    text = content_of(folder / DATES, most=MOST_FILE).decode("ascii", "replace") if is_present(folder / DATES) else ""
-    rows = [line.split(",") for line in text.splitlines()]
-    return {row[0]: (row[1], row[2]) for row in rows if len(row) == 3}
+    if not is_present(folder / DATES):
+        return {}
+    text = content_of(folder / DATES, most=MOST_FILE).decode("ascii", "replace")
+    dates = {match[1]: (match[2], match[3]) for match in map(DATE_LINE.fullmatch, text.splitlines()) if match}
+    if not dates or dates_text(dates) != text:
+        raise InputError(f"{folder / DATES} is damaged (it must have a line for each tile); restore it, or remove it")
+    return dates
+
+
+def dates_text(dates: dict[str, tuple[str, str]]) -> str:
+    """Return the content of the file with the checksums and dates of former plans."""
+    return "".join(",".join((name, *dates[name])) + "\n" for name in sorted({*dates} - {*ABOUT}))
 
 
 def part_name(tile: int) -> str:
@@ -234,6 +307,14 @@ def kept_name(digest: str) -> str:
     return f"{PLANS}/{digest}.fits"
 
 
+def read_named(path: Path, digest: str) -> bytes:
+    """Return the content of a file whose name contains its checksum, or raise an error if it has another one."""
+    content = verified(path, digest)
+    if content is None:
+        raise InputError(f"{path} is missing or damaged (its checksum differs from the checksum in its name)")
+    return content
+
+
 def verified(path: Path, digest: str) -> bytes | None:
     """Return the content of a file, or None if it does not exist or has another checksum."""
     if not is_present(path):
@@ -244,10 +325,9 @@ def verified(path: Path, digest: str) -> bytes | None:
 
 def with_recorded_moves(options: AllocationOptions, folder: object) -> AllocationOptions:
     """Return the options with which a survey that was begun by version 0.3, which recorded no moves, is continued."""
-    path = None if folder is None else Path(folder) / Folder.request_name
-    if path is None or not is_present(path) or not options.method.uses("moves") or options.moves == "exchange":
+    if folder is None or not options.method.uses("moves") or options.moves == "exchange":
         return options
-    recorded = load_request(path)
+    recorded = read_request(Path(folder))
     if "moves" in recorded or recorded.get("allocator") != options.name:
         return options
     warn(f"{folder} was begun with the moves of version 0.3; its tiles are planned with moves='exchange'")

@@ -12,21 +12,13 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey import _io
 from rfpsurvey._descriptions import describe, with_unit
 from rfpsurvey._display import plot, show, to_html
-from rfpsurvey._folder import check_file, read_index, read_verified
+from rfpsurvey._folder import read_index
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._columns import OUTCOME, TILES
-from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, part_name
+from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, read_request, read_stored_table, read_visits
 from rfpsurvey.survey._living import Living
 from rfpsurvey.survey._work import VISITS_UNITS
-
-# Columns that the tables in the folder of a survey must have, and columns that the file of each tile must have.
-COLUMNS = (
-    ("tile", "ra", "dec", "position_angle", "pass", "round", "n_assigned", "completeness"),
-    ("pass", "priority", "n_targets", "n_requested", "n_observed", "n_complete", "completeness"),
-    ("target_id", "requested", "observed", "outcome"),
-)
-VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,16 +169,12 @@ class Survey(Living):
         return len(self.tiles)
 
     def _visits(self, k: int) -> QTable:
-        if "state" in self.tiles.colnames and self.tiles["state"][k] == "dropped":
-            others = np.flatnonzero(np.asarray(self.tiles["state"]) != "dropped")
-            return self._visits(int(others[0]))[:0] if len(others) else QTable()
-        if self.parts is not None:
-            rows = self.parts[k]
-        else:
-            name = part_name(k)
-            rows = _io.read_fits_bytes(read_verified(self.folder, name, self._known), self.folder / name)[0]
-            _check_columns(self.folder / name, rows.dtype.names, VISITS)
-        table = QTable({"tile": np.full(len(rows), self.tiles["tile"][k])})
+        if self._states[k] == "dropped":
+            others = [row for row, state in enumerate(self._states) if state != "dropped"]
+            return self._visits(others[0])[:0] if others else QTable()
+        tile = self.tiles["tile"][k]
+        rows = read_visits(self.folder, k, self._known, tile)[0] if self.parts is None else self.parts[k]
+        table = QTable({"tile": np.full(len(rows), tile)})
         units = VISITS_UNITS | self.provenance.get("units", {})
         for name in rows.dtype.names:
             table[name] = with_unit(rows[name], units.get(name))
@@ -260,9 +248,9 @@ class Survey(Living):
             If the folder does not contain a survey, or if the survey is unfinished or damaged.
         """
         folder = _io.to_path(folder)
-        if not (folder / "survey.json").is_file():
+        request, known = read_request(folder), read_index(folder)
+        if not request:
             raise InputError(f"{folder} does not hold a survey: there is no survey.json")
-        known = read_index(folder)
         if not all((folder / name).is_file() and (name in known or not known) for name in TABLES):
             n = sum(name.startswith("tiles/") for name in known)
             remedy = "resume=True (--resume)"
@@ -272,29 +260,23 @@ class Survey(Living):
                 f"{folder} holds a survey that is not finished ({number_of(n, 'tile')} planned so far); continue the "
                 f"survey with {remedy} before you read it"
             )
-        for name in TABLES:
-            check_file(folder, name, known)
-        tables = [_io.read_table(folder / name) for name in TABLES]
-        for name, table, columns in zip(TABLES, tables, COLUMNS, strict=True):
-            _check_columns(folder / name, table.colnames, columns)
-        for name in ("summary", "provenance"):
-            if not isinstance(tables[0].meta.get(name), dict):
-                raise InputError(f"{folder / TABLES[0]} must hold the {name} of a survey, got none")
-        joint = None
-        if JOINT in known:
-            check_file(folder, JOINT, known)
-            joint = _io.read_table(folder / JOINT)
+        tables = [read_stored_table(folder, name, known) for name in TABLES]
+        joint = read_stored_table(folder, JOINT, known) if JOINT in known else None
+        if request.get("events") != tables[0].meta["provenance"].get("events"):
+            raise InputError(
+                f"{folder / 'survey.json'} must name the events with which {folder / TABLES[0]} was planned, got "
+                "other events; restore it"
+            )
         for table, about in ((tables[0], TILES), (tables[2], OUTCOME)):  # FITS files are read without descriptions
             describe(table, about)
         return cls(*tables, folder, joint=joint)
 
     @cached_property
+    def _states(self) -> list[str]:
+        """The state of each tile."""
+        return self.tiles["state"].tolist() if "state" in self.tiles.colnames else ["planned"] * len(self)
+
+    @cached_property
     def _known(self) -> dict:
         """Sizes and checksums of the files of the survey."""
         return read_index(self.folder)
-
-
-def _check_columns(path: Path, names: tuple, needed: tuple) -> None:
-    lacking = [name for name in needed if name not in (names or ())]
-    if lacking:
-        raise InputError(f"{path} must have the columns of a survey, got a table without {', '.join(lacking)}")

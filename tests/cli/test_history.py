@@ -402,6 +402,28 @@ def test_invalid_input_of_the_status_is_one_sentence(run, observed, tmp_path):
     assert not (tmp_path / "x.html").exists()
 
 
+def test_files_are_verified(call, run, observed, tmp_path):
+    """Each missing or damaged file is one line, and the exit code is 1."""
+    assert call("status", observed, "--verify")[0] == "0 files missing or damaged\n"
+    call("survey", observed, "--replan")
+    (observed / "notes.txt").write_text("")
+    notes = "notes.txt: does not belong to the survey, and is not used"
+    assert call("status", observed, "--verify")[0].splitlines() == [notes, "0 files missing or damaged"]
+    (observed / "tiles/000/000003.fits").write_bytes(b"")
+    (observed / "events/000001.json").unlink()
+    code, out, err = run("status", observed, "--verify")
+    assert (code, err) == (1, "")
+    assert out.splitlines() == [
+        "events/000001.json: is missing, but 000002.json exists; restore it from a backup",
+        "tiles/000/000003.fits: is damaged (its checksum differs from the checksum recorded in the index); it is made "
+        "again when the survey is planned again",
+        notes,
+        "2 files missing or damaged",
+    ]
+    assert "does not hold a survey" in sentence(*run("status", tmp_path, "--verify")[::2])
+    assert "without other options" in sentence(*run("status", observed, "--verify", "--until", "2026-01-04")[::2])
+
+
 def test_differences_of_two_plans(call, observed, tmp_path):
     shutil.copytree(observed, tmp_path / "before")
     out = " ".join(call("diff", tmp_path / "before", observed)[0].split())  # long paths are wrapped

@@ -13,7 +13,7 @@ from rfpsurvey._methods import table_of
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.survey._folder import part_name
 from rfpsurvey.survey._history._events import WORDS, Events, TileState, places_of, read_events
-from rfpsurvey.survey._history._replay import Replay, TileStates, replay
+from rfpsurvey.survey._history._replay import Replay, replay_of_plan
 from rfpsurvey.survey._history._targets import DROPPED, ROW
 from rfpsurvey.survey._survey import Survey
 
@@ -84,7 +84,7 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
             changes.append(_changes(name, ["added" if name in two.row_of else "removed"]))
             continue
         rows = one.row_of[name], two.row_of[name]
-        states = one.states[rows[0]], two.states[rows[1]]
+        states = one.survey._states[rows[0]], two.survey._states[rows[1]]
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
         reasons += [] if one.places[rows[0]] == two.places[rows[1]] else ["moved"]
         changes.append(_changes(name, reasons))
@@ -117,16 +117,15 @@ class _Side:
         if not isinstance(survey, Survey):
             raise refusal(f"the {name} survey must be a Survey or the folder of a survey", survey)
         self.survey, tiles = survey, survey.tiles
-        about, events = survey.provenance.get("events"), Events(Path())
+        events = applied = Events(Path())
         if survey.folder is not None:
             events = read_events(survey.folder)
-        n_applied = 0 if about is None else about["n_files"]
-        self.events = None if about is None or survey.folder is None else events.first(n_applied)
-        """The events with which the survey was planned; None if there are none."""
-        self.n_later_files = max(len(events.files) - n_applied, 0)
+            applied = events.of_plan(survey.provenance)
+        self.events = applied
+        """The events with which the survey was planned; none if it is not in a folder."""
+        self.n_later_files = len(events.files) - len(applied.files)
         """Number of files of events after the plan, which are not compared."""
         self.row_of = {str(one): row for row, one in enumerate(np.asarray(tiles["tile"]).tolist())}
-        self.states = tiles["state"].tolist() if "state" in tiles.colnames else ["planned"] * len(tiles)
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
         self.priority = np.full(len(self.ids), np.nan)
         self.places = places_of(tiles).tolist()
@@ -148,16 +147,13 @@ class _Side:
     @cached_property
     def replayed(self) -> Replay:
         """The visits that were made and failed before the survey was planned."""
-        if self.events is None:
-            return Replay(len(self.ids))
-        until = self.survey.provenance["events"].get("until")
-        return replay(self.events, TileStates(self.events.of_tiles(until)), self.ids)
+        return replay_of_plan(self.survey, self.events)
 
     @cached_property
     def dropped(self) -> np.ndarray:
         """Whether each target was dropped."""
         dropped = np.zeros(len(self.ids), dtype=bool)
-        for _, table in [] if self.events is None else self.events.target_tables:
+        for _, table in self.events.target_tables:
             state = np.asarray(table[DROPPED])
             dropped[np.asarray(table[ROW])[state >= 0]] = state[state >= 0] == 1
         return dropped

@@ -19,10 +19,18 @@ from astropy.table import QTable, vstack
 from astropy.time import Time
 
 from rfpsurvey import _io
-from rfpsurvey._folder import MOST_REQUEST
-from rfpsurvey._readers import content_of, is_present, parse_json, read_fits_bytes, sentence
+from rfpsurvey._readers import content_of, is_present, read_fits_bytes, sentence
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.survey._folder import EVENTS, MOST_FILE, Folder, kept_name, part_name, verified
+from rfpsurvey.survey._folder import (
+    EVENTS,
+    MOST_FILE,
+    kept_name,
+    parse_visits,
+    part_name,
+    read_named,
+    read_request,
+    verified,
+)
 from rfpsurvey.tiling import Tiling
 
 VERSION = 1
@@ -134,18 +142,19 @@ class Events:
         """Return the events of the first n files."""
         return Events(self.folder, self.files[:n])
 
+    def of_plan(self, provenance: dict) -> "Events":
+        """Return the events with which a survey with a given provenance was planned."""
+        return self.first(provenance.get("events", {"n_files": 0})["n_files"])
+
     @cached_property
     def target_tables(self) -> list[tuple[int, QTable]]:
         """Tables of added and changed targets, each with the row of the first target that it adds."""
-        return [(one.n_targets, self._read_targets(one.targets)) for one in self.files if one.targets]
+        return [(one.n_targets, self.read_targets(one.targets)) for one in self.files if one.targets]
 
-    def _read_targets(self, name: str) -> QTable:
+    def read_targets(self, name: str) -> QTable:
+        """Return a table of added and changed targets, or raise an error if its file is missing or damaged."""
         path = self.folder / EVENTS / name
-        content = verified(path, name.partition("-")[2].removesuffix(".fits"))
-        if content is None:
-            raise InputError(f"{path} is missing or damaged (its checksum differs from the checksum in its name)")
-        rows, _ = read_fits_bytes(content, path)
-        return QTable(rows)
+        return QTable(read_fits_bytes(read_named(path, name.partition("-")[2].removesuffix(".fits")), path)[0])
 
     def plan(self, row: int, digest: str) -> bytes:
         """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
@@ -161,7 +170,7 @@ class Events:
 
     def visits(self, event: TileEvent) -> tuple[np.ndarray, dict]:
         """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
-        return read_fits_bytes(self.plan(event.row, event.plan), f"the plan of tile {event.tile}")
+        return parse_visits(self.plan(event.row, event.plan), f"the plan of tile {event.tile}", event.tile)
 
     def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
         """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
@@ -216,17 +225,6 @@ def read_events(folder: Path, known: Events | None = None) -> Events:
     return Events(folder, tuple(files))
 
 
-def read_request(folder: Path) -> dict:
-    """Return the request of the survey in a folder; an empty dict if there is none."""
-    path = folder / Folder.request_name
-    if not is_present(path):
-        return {}
-    try:
-        return parse_json(content_of(path, most=MOST_REQUEST).decode("utf-8", "replace"), "the request")
-    except InputError as error:
-        raise InputError(f"{path} is damaged ({error})") from None
-
-
 def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
     """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
     try:
@@ -244,13 +242,22 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
             )
             for one in about["tiles"]
         )
+        if not all(map(_is_valid, tiles)):
+            raise InputError("its events have other types")
         numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
         file = EventFile(*numbers, tiles, about["targets"], found[1], about["previous"])
         if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
             raise InputError(f"{file.targets!r} is not the name of a table of targets")
-    except (InputError, KeyError, TypeError, ValueError, RecursionError) as error:
+    except (InputError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({sentence(error)})") from None
     return file
+
+
+def _is_valid(event: TileEvent) -> bool:
+    """Return whether the values of an event have their types."""
+    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, dict | None, list | tuple)
+    is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
+    return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
 
 
 def _by_reason(failed: dict[str, str] | None) -> dict[str, list[str]] | None:

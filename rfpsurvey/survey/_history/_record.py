@@ -16,9 +16,9 @@ from rfpsurvey._folder import LOCK, locked, read_index, remove_temporary
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
 from rfpsurvey.plans import native_format, read_plan
-from rfpsurvey.survey._folder import EVENTS, TABLES
+from rfpsurvey.survey._folder import EVENTS, TABLES, read_request
 from rfpsurvey.survey._history._columns import check_others, columns_of_catalog, renamed, roles_of
-from rfpsurvey.survey._history._events import TileEvent, TileState, add_tiles, read_events, read_request
+from rfpsurvey.survey._history._events import TileEvent, TileState, add_tiles, read_events
 from rfpsurvey.survey._history._targets import DROPPED, IS_ADDED, target_changes
 from rfpsurvey.survey._history._tile_events import History, tile_events
 from rfpsurvey.survey._survey import Survey

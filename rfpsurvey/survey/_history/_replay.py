@@ -12,11 +12,11 @@ from astropy.table import QTable
 from rfpsurvey import _io
 from rfpsurvey._descriptions import TARGET_ID, VISITS_COLUMNS, Column, describe
 from rfpsurvey._methods import table_of
-from rfpsurvey._readers import content_of, is_present, read_arrays
+from rfpsurvey._readers import content_of, read_arrays
 from rfpsurvey._roles import has_role
 from rfpsurvey._units import MOST_VISITS
 from rfpsurvey.catalog import Catalog
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError
 from rfpsurvey.survey._columns import CARDS, N_LOST
 from rfpsurvey.survey._history._catalogs import column_of, is_science
 from rfpsurvey.survey._history._events import EVENTS, Events, TileEvent, TileState
@@ -220,12 +220,16 @@ def replay(events: Events, states: TileStates, ids: np.ndarray) -> Replay:
     return found
 
 
+def replay_of_plan(survey, events: Events) -> Replay:
+    """Return the visits with which a survey was planned; ``events`` are the events with which it was planned."""
+    ids = np.asarray(survey.outcomes["target_id"])
+    if not events.files:
+        return Replay(len(ids))
+    return replay(events, TileStates(events.of_tiles(survey.provenance["events"].get("until"))), ids)
+
+
 def _check_ids(event: TileEvent, visits: np.ndarray, ids: np.ndarray) -> None:
     """Raise an error if the visits of an observed tile are not visits of the targets of the catalog."""
-    columns = ("target_row", "target_id", "positioner", "observed", "in_collision")
-    lacking = [name for name in columns if name not in visits.dtype.names]
-    if lacking:
-        raise InputError(f"the plan of tile {event.tile} must have the columns of a survey, got none {listed(lacking)}")
     visits = visits[visits["target_row"] >= 0]
     rows = visits["target_row"]
     if rows.max(initial=-1) >= len(ids) or (ids[rows].astype(visits["target_id"].dtype) != visits["target_id"]).any():
@@ -251,15 +255,16 @@ def _key(event: TileEvent) -> bytes:
     return hashlib.sha256(text.encode()).hexdigest().encode()
 
 
+def checkpoint_of(folder: Path) -> bytes:
+    """Return the archive in the checkpoint, or raise an error if the checkpoint is missing or damaged."""
+    content = content_of(folder / CHECKPOINT, most=2**40)
+    if hashlib.sha256(content[64:]).hexdigest().encode() != content[:64]:
+        raise InputError(f"{folder / CHECKPOINT} is damaged (its digest differs from its content)")
+    return content[64:]
+
+
 def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) -> Replay | None:
     """Return the state in the checkpoint; None if there is none, or if it is not the state after the first attempts."""
-    path = folder / CHECKPOINT
-    if not is_present(path):
-        return None
-    content = content_of(path, most=2**40)
-    check, body = content[:64], content[64:]
-    if hashlib.sha256(body).hexdigest().encode() != check:
-        return None
     n = (None,)
     expected = {
         "keys": ("S64", n),
@@ -271,7 +276,7 @@ def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) ->
         "counts": ("i8", (None, None)),
     }
     try:
-        stored = read_arrays(io.BytesIO(body), expected, "the archive")
+        stored = read_arrays(io.BytesIO(checkpoint_of(folder)), expected, "the archive")
     except InputError:
         return None
     keys, size = stored["keys"].tolist(), len(stored["made"])

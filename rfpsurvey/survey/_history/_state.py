@@ -13,6 +13,7 @@ from rfpsurvey._roles import has_role
 from rfpsurvey._units import to_visits
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.errors import InputError, number_of, refusal, warn
+from rfpsurvey.survey._folder import read_request
 from rfpsurvey.survey._history._catalogs import (
     check_first_catalog,
     columns_of,
@@ -27,7 +28,6 @@ from rfpsurvey.survey._history._events import (
     TileState,
     add_tiles,
     read_events,
-    read_request,
     to_date,
 )
 from rfpsurvey.survey._history._replay import Replay, TileStates, last_results, replay, state_table
@@ -347,11 +347,11 @@ class SurveyState:
             )
         if self.states.added:
             tiling = add_tiles(tiling, self.states.added, TileStates(self.events.of_tiles()).dropped)
-        names = np.asarray(tiling.table["tile"]).astype(str).tolist()
+        names = dict(enumerate(np.asarray(tiling.table["tile"]).astype(str).tolist()))
         for event in self.events.of_tiles():
-            if names[event.row] != event.tile:
+            if names.get(event.row) != event.tile:
                 raise InputError(
-                    f"tiles must be those of the first plan, got the tile {names[event.row]} in row {event.row} "
+                    f"tiles must be those of the first plan, got the tile {names.get(event.row)} in row {event.row} "
                     f"instead of {event.tile}"
                 )
         return tiling

@@ -11,9 +11,9 @@ from rfpsurvey._io import check_fits_text
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_labels
 from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
-from rfpsurvey.survey._folder import part_name, plan_dates
+from rfpsurvey.survey._folder import part_name, plan_dates, read_request
 from rfpsurvey.survey._history._columns import columns_of, groups_of
-from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of, read_request
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import to_numbers
 from rfpsurvey.survey._work import plan_digest
@@ -37,11 +37,8 @@ class History:
         self.n_targets = max(len(survey.outcomes), *added, 0)
         self._known, self._dates = read_index(folder), plan_dates(folder)
         self._planned = read_request(folder).get("planned", "")
-        about = survey.provenance.get("events", {"n_files": 0, "digest": ""})
-        self.n_applied = about["n_files"]
-        applied = events.first(self.n_applied)
-        if applied.digest != about["digest"]:
-            raise InputError(f"{folder} must contain the events with which its tiles were planned, got other events")
+        applied = events.of_plan(survey.provenance)
+        self.n_applied = len(applied.files)
         planned = {one.observation for one in applied.of_tiles()}
         dates = [one.date for one in self.states.attempts if one.observation in planned]
         self.planned_until = max(dates, default="")
@@ -240,7 +237,9 @@ def _event(
             f"changed, got {date}; if the tile was observed with its present plan, give the digest of the plan (PLANID "
             "in the header of its file) in a column plan, or the targets of all visits"
         )
-    return TileEvent(row, name, state, date, fraction, plan)
+    event = TileEvent(row, name, state, date, fraction, plan)
+    history.events.visits(event)  # raises an error if the file of the tile is missing or damaged
+    return event
 
 
 def _addition(name: str, history: History, table: Table, roles: dict, whole: list[int]) -> TileEvent:

@@ -9,8 +9,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._progress import Progress
-from rfpsurvey._readers import read_arrays
-from rfpsurvey.errors import InputError, warn
+from rfpsurvey.errors import warn
 from rfpsurvey.survey._joint._fixed import TilePlan, fixed_tiles
 from rfpsurvey.survey._joint._search import Search, levels_of
 from rfpsurvey.survey._joint._start import classes_of, first_plans, given_plan, goals_of, list_all, place, plans_of
@@ -136,10 +135,7 @@ def _store(folder, network, search: Search) -> None:
 
 def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[str, np.ndarray] | None:
     """Return the arrays of the stored state of a search; None if there is no state, or if it is damaged."""
-    content, n = folder.file(STATE), n_tiles * n_positioners
-    if content is None:
-        return None
-    per_level = ("f8", (n_levels,))
+    per_level, n = ("f8", (n_levels,)), n_tiles * n_positioners
     expected = {
         "slot": ("i8", (n,)),
         "side": ("i1", (n,)),
@@ -151,14 +147,13 @@ def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[
         "limits?": ("f8", (None,)),
         **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
     }
-    try:
-        found = read_arrays(io.BytesIO(content), expected, "the archive")
-        if not all(np.isfinite(found[name]).all() for name in ("numbers", "next_size")) or found["numbers"].min() < 0:
-            raise InputError("the archive must contain finite numbers of at least 0, got others")
-        return found
-    except InputError as error:
-        warn(f"the search for a joint plan starts again, because its stored state cannot be read: {error}")
+    found = folder.load(STATE.removesuffix(".npz"), **expected)
+    if found is None:
         return None
+    if all(np.isfinite(found[name]).all() for name in ("numbers", "next_size")) and found["numbers"].min() >= 0:
+        return found
+    warn("the search for a joint plan starts again, because its stored state must contain finite numbers, got others")
+    return None
 
 
 def table_of(search: Search, names: list[str]) -> QTable:
