@@ -42,6 +42,7 @@ from rfpsurvey.inputs._objects import (
     with_margins,
 )
 from rfpsurvey.inputs._plan_file import (
+    INPUTS,
     PLAN_FILE,
     RECORD,
     Given,

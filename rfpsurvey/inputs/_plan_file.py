@@ -1,5 +1,6 @@
 """Plan files: TOML files with the values of the keys of a command."""
 
+import hashlib
 import json
 import os
 import re
@@ -13,13 +14,16 @@ from textwrap import wrap
 
 import astropy.units as u
 
-from rfpsurvey._readers import read_toml
+from rfpsurvey._readers import is_present, open_file, read_toml
 from rfpsurvey.errors import InputError, warn
 from rfpsurvey.inputs._keys import Key, Part, add, find, located
 from rfpsurvey.tile import versions
 
 RECORD = "plan.toml"
 """Name of the plan file in the folder of a survey."""
+INPUTS = "inputs"
+"""Folder of the inputs that no other file describes, in the folder of a survey; their names contain checksums."""
+STORED = re.compile(r"-([0-9a-f]{16})\.(?:fits|ecsv)$")
 PLAN_FILE: ContextVar[Callable[[Path], str] | None] = ContextVar("PLAN_FILE", default=None)
 """Function of the folder of a survey that returns the text of its plan file, while a command plans the survey."""
 
@@ -79,6 +83,18 @@ def add_file(keys: dict, values: dict, path: Path) -> None:
         add(keys, values, "", content, path.parent)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
+    for one in values.values():
+        if isinstance(one, str) and (match := STORED.search(one)) and Path(one).parent.name == INPUTS:
+            _check_stored(path.parent / INPUTS / Path(one).name, match[1])
+
+
+def _check_stored(path: Path, checksum: str) -> None:
+    """Raise an error if an input that `plan_survey` wrote does not have the checksum in its name."""
+    if not is_present(path):
+        raise InputError(f"{path} is missing")
+    with open_file(path) as file:
+        if not hashlib.file_digest(file, "sha256").hexdigest().startswith(checksum):
+            raise InputError(f"{path} is damaged (its checksum differs from the checksum in its name)")
 
 
 def add_text(keys: dict, values: dict, text: str, earlier: set[str]) -> None:

@@ -1,5 +1,6 @@
 """The plan file of a survey: its keys, the parameters of `plan_survey` for their values, and the values for a call."""
 
+import hashlib
 import os
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, replace
@@ -13,7 +14,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import inputs
-from rfpsurvey._io import read_table, write_bytes, write_table
+from rfpsurvey._io import read_table, write_bytes, write_table, written
 from rfpsurvey._plugins import name_of
 from rfpsurvey._settings import Settings, options_of
 from rfpsurvey._units import to_center
@@ -25,15 +26,15 @@ from rfpsurvey.inputs import Part, build, keys_of, say_nothing
 from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey.region import Region
 from rfpsurvey.survey._cadences import Cadences
+from rfpsurvey.survey._history._catalogs import check_first_catalog
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._joint._options import JOINT, JointOptions, as_joint
+from rfpsurvey.survey._request import tiles_digest
 from rfpsurvey.survey._survey import Survey
-from rfpsurvey.tiling import Tiling, as_tiling, place_tiles, warn_of_targets
+from rfpsurvey.tiling import Tiling, as_tiling, conditions_of_tiles, place_tiles, warn_of_targets
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
-INPUTS = "inputs"
-"""Folder of the inputs that no other file describes, in the folder of a survey."""
 TILE_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date", "mjd"}
 TILE_COLUMNS |= {"skybrightness", "sky_brightness"}
 """Columns of tables of tiles that surveys use."""
@@ -224,6 +225,28 @@ def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = say_nothing, **gi
     return found
 
 
+def check_inputs(folder: Path, request: dict) -> None:
+    """Raise an error if the catalog, the tiles or the instrument of the plan file differ from a recorded request."""
+    keys = keys_in(folder, ("allocator", "instrument", "visits", "rule"))
+    tiling = read_tiles(keys.tiles)
+    model = None
+    if "instrument" not in (keys.python or ()):
+        model = inputs.model_of(keys.instrument, partial(inputs.time_of_tiles, tiling, keys.epoch, keys.conditions))
+        own = f"{model.name}, digest {model.provenance['digest']}"
+        if own != request.get("instrument"):
+            raise InputError(f"{folder / inputs.RECORD} must name the instrument of survey.json, got {own}")
+    catalog = targets_of(keys, model)
+    check_first_catalog(request, catalog, _requested(keys), VisitRule(**keys.rule))
+    if tiling is None:
+        return
+    tiling = inputs.tiles_under(tiling, keys.conditions)
+    if keys.tiles.passes is not None:
+        tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
+    own, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
+    if own != recorded:
+        raise InputError(f"{folder / inputs.RECORD} must name the tiles of the first plan, {recorded}, got {own}")
+
+
 def write_call(request, call: dict, folder: Path) -> None:
     """Write the plan file of a survey to its folder; inputs that no other file describes are written there as well.
 
@@ -238,10 +261,14 @@ def write_call(request, call: dict, folder: Path) -> None:
     """
     text_of = inputs.PLAN_FILE.get()
     if text_of is None:
-        values, lacking = _values_of(request, call, folder.resolve() / INPUTS)
+        values, lacking = _values_of(request, call, folder.resolve() / inputs.INPUTS)
         values |= {"python": lacking} if lacking else {}
         text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, outputs=("output.folder",))
-    write_bytes(folder / inputs.RECORD, text_of(folder).encode())
+    text = text_of(folder)
+    write_bytes(folder / inputs.RECORD, text.encode(), sync=True)
+    for path in (folder / inputs.INPUTS).glob("*"):
+        if path.name not in text:
+            path.unlink()
 
 
 def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
@@ -274,17 +301,19 @@ def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
     ):
         values |= found or {}
         lacking += [name] if found is None else []
-    values["tiles.path"] = _stored(place, "tiles.ecsv", partial(_write_tiles, as_tiling(call["tiles"])), again=True)
+    values["tiles.path"] = _stored(place, "tiles.ecsv", partial(_write_tiles, as_tiling(call["tiles"])))
     return values, lacking
 
 
-def _stored(place: Path, name: str, write: Callable[[Path], None], *, again: bool = False) -> str:
-    """Write an input that no other file describes, unless an earlier run wrote it; return its path."""
+def _stored(place: Path, name: str, write: Callable[[Path], None]) -> str:
+    """Write an input that no other file describes, and return its path, which contains a checksum of its content."""
     path = place / name
-    place.mkdir(exist_ok=True)
-    if again or not path.exists():
+    with written(place):
+        place.mkdir(exist_ok=True)
         write(path, overwrite=True)
-    return str(path)
+        with path.open("rb") as file:
+            checksum = hashlib.file_digest(file, "sha256").hexdigest()[:16]
+        return str(path.rename(path.with_stem(f"{path.stem}-{checksum}")))
 
 
 def _write_tiles(tiling: Tiling, path: Path, *, overwrite: bool) -> None:
@@ -348,13 +377,11 @@ def _instrument_values(given: Instrument | str | os.PathLike, place: Path) -> di
         return {"instrument.name": str(Path(given).resolve())}
     preset, arm_model = {"instrument.name": given.name}, given.focal_plane.positioner.arm_model
     found = [preset, preset | {"instrument.arm_model": arm_model}] if given.name in available_instruments() else []
-    found.append({"instrument.name": str(place / "instrument.ecsv")})
+    for values in found:
+        if inputs.model_of(build(SurveyKeys, values).instrument).provenance == given.provenance:
+            return values
     try:
-        for values in found:
-            if values is found[-1]:
-                _stored(place, "instrument.ecsv", given.write, again=True)
-            if inputs.model_of(build(SurveyKeys, values).instrument).provenance == given.provenance:
-                return values
+        path = _stored(place, "instrument.ecsv", given.write)
+        return {"instrument.name": path} if Instrument.read(path).provenance == given.provenance else None
     except InputError:
-        pass
-    return None
+        return None

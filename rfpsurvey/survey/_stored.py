@@ -17,12 +17,14 @@ from rfpsurvey._roles import has_role
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog
 from rfpsurvey.constraints import with_present_texts
 from rfpsurvey.errors import InputError, warn
+from rfpsurvey.inputs import INPUTS, RECORD
 from rfpsurvey.survey import _folder
 from rfpsurvey.survey._columns import ALSO_SCIENCE, LOST_TO_RULES, N_LOST
 from rfpsurvey.survey._history._catalogs import check_first_catalog
 from rfpsurvey.survey._history._events import Events, TileState, read_events
 from rfpsurvey.survey._history._replay import CHECKPOINT, TileStates, checkpoint_of, replay_of_plan
 from rfpsurvey.survey._history._rule import VisitRule
+from rfpsurvey.survey._plan_file import check_inputs
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._unmet import CountOfRule, counts_in, is_unknown
@@ -36,7 +38,7 @@ DAMAGES = table_of(
 MADE, RESTORED = "it is made again when the survey is planned again", "restore it from a backup"
 CANCELED = f"{RESTORED}, or record the state planned for its tile, which cancels the observations"
 REQUEST = _folder.Folder.request_name
-PLAN_FILE = "plan.toml"  # the command line writes this file, which users can edit
+GIVEN = f"{RESTORED}, or give the catalog, the tiles and the instrument of the first plan"
 
 
 def read_part(folder, tile, job) -> Done | None:
@@ -167,6 +169,7 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
         The files that do not belong to the survey.
     """
     damaged: dict[str, tuple[str, str]] = {}
+    is_verified = events is None
 
     def check(name: str, remedy: str, function: Callable, *arguments):
         """Return the result of a function, or None if it raises an error, which is recorded for the file ``name``."""
@@ -187,7 +190,7 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
     chain = check(_folder.EVENTS, RESTORED, read_events, folder) if events is None else events
     events = chain or Events(folder)
-    own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, PLAN_FILE, *known}
+    own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, RECORD, *known}
     own |= {f"{_folder.EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
     for name in filter(None, (one.targets for one in events.files)):
         own.add(f"{_folder.EVENTS}/{name}")
@@ -220,6 +223,9 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     if survey is not None and not damaged:
         check(_folder.TABLES[2], MADE, _check_outcomes, survey, planned, events)
         check(REQUEST, RESTORED, _check_request, survey, request)
+    if is_verified and is_present(folder / RECORD):
+        check(RECORD, GIVEN, check_inputs, folder, request)
+        own |= {str(path.relative_to(folder)) for path in (folder / INPUTS).glob("*")}
     own |= {*expected, *rows, *damaged}
     found = {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
     not_known = tuple(name for name, one in ((_folder.EVENTS, chain), ("tiles", survey)) if one is None)

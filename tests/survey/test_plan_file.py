@@ -231,6 +231,46 @@ def test_interrupted_surveys_are_continued(tmp_path):
         rs.survey.continue_survey(tmp_path)
 
 
+def change(path, *, at):
+    content = bytearray(path.read_bytes())
+    content[at] ^= 1
+    path.write_bytes(bytes(content))
+
+
+@pytest.mark.parametrize(
+    ("name", "damage"),
+    [
+        ("inputs/catalog-*.fits", lambda path: path.unlink()),
+        ("inputs/catalog-*.fits", lambda path: change(path, at=-1)),
+        ("inputs/catalog-*.fits", lambda path: path.write_bytes(path.read_bytes()[:5000])),
+        ("inputs/catalog-*.fits", lambda path: path.write_bytes(b"")),
+        ("inputs/tiles-*.ecsv", lambda path: path.unlink()),
+        ("inputs/tiles-*.ecsv", lambda path: path.write_text(path.read_text().replace("94.9", "94.8"))),
+        ("inputs/tiles-*.ecsv", lambda path: path.write_text(path.read_text()[:-9])),
+        ("inputs/instrument-*.ecsv", lambda path: path.unlink()),
+        ("inputs/instrument-*.ecsv", lambda path: path.write_text(path.read_text().replace("17.0", "17.5"))),
+        ("inputs/instrument-*.ecsv", lambda path: path.write_text("#")),
+        ("plan.toml", lambda path: path.write_text(path.read_text().replace("7\n", "8\n"))),
+        ("plan.toml", lambda path: path.write_text(path.read_text() + "[")),
+        ("plan.toml", lambda path: path.write_bytes(b"\0")),
+    ],
+)
+def test_damaged_inputs_are_found_and_never_used(name, damage, tmp_path):
+    folder = tmp_path / "plan"
+    survey = rs.plan_survey(**make_call(instrument_made_in_python, tmp_path), folder=folder)
+    survey.record(Table({"tile": [0], "date": ["2099-01-03"], "state": ["done"]}))
+    assert len(rs.survey.verify_survey(folder)) == 0
+    before = {path: path.read_bytes() for path in folder.rglob("tiles/*/*.fits")}
+    (path,) = folder.glob(name)
+    damage(path)
+    found = rs.survey.verify_survey(folder)["file"].tolist()
+    is_other_seed = "rng = 8" in (folder / "plan.toml").read_text(errors="replace")  # no input is damaged
+    assert found == ([] if is_other_seed else [str(path.relative_to(folder))])
+    with pytest.raises(rs.InputError):
+        survey.replan()
+    assert all(path.read_bytes() == content for path, content in before.items())
+
+
 def test_surveys_of_version_0_3_without_a_plan_file_say_what_to_do(tmp_path):
     survey = rs.plan_survey(**make_call(plain, tmp_path), folder=tmp_path / "plan")
     (tmp_path / "plan" / "plan.toml").unlink()
