@@ -7,9 +7,12 @@ from rfpsurvey.probability import Precision, ProbabilityQuestion
 from rfpsurvey.probability._quadrature import integrate
 from rfpsurvey.probability._run import run
 from rfpsurvey.probability._simulate import CollisionSums
+from rfpsurvey.probability._targets import Source
 from scenes import lamost_like
 
 PLANE = lamost_like(1)
+SKIES = Source("poisson", 7.0, 1.0, (0.0, 0.0), 20.0, 0.0)
+"""Random targets, so that each realization is another sky."""
 
 
 def rare(p, counted):
@@ -27,7 +30,7 @@ def rare(p, counted):
 def runs(p, precision, counted, repeats, chunk=64):
     rngs = np.random.default_rng(4).spawn(repeats)
     stop = Precision(precision, 10_000_000)
-    return [run(ProbabilityQuestion(PLANE, precision=stop, rng=rng), rare(p, counted), chunk) for rng in rngs]
+    return [run(ProbabilityQuestion(PLANE, SKIES, precision=stop, rng=rng), rare(p, counted), chunk) for rng in rngs]
 
 
 def estimates(p, precision, counted, repeats, chunk=64):
