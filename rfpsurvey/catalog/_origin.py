@@ -45,11 +45,7 @@ def write_exactly(catalog, path: Path, *, overwrite: bool = False) -> None:
     for name in () if catalog.extra is None else catalog.extra.colnames:
         table[EXTRA + name] = catalog.extra[name]
     columns = {name: np.asarray(getattr(column, "value", column)) for name, column in table.items()}
-    units = {
-        name: one.to_string("fits")
-        for name, column in table.items()
-        if (one := getattr(column, "unit", None)) is not None
-    }
+    units = {name: str(one) for name, column in table.items() if (one := getattr(column, "unit", None)) is not None}
     dtype = np.dtype([(name, column.dtype) for name, column in columns.items()])
     parts = (
         np.rec.fromarrays([column[k : k + ROWS] for column in columns.values()], dtype=dtype)

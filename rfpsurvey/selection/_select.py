@@ -201,8 +201,9 @@ def selection_probabilities(
 
 def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:
     """Compute the selection probabilities of a survey in a folder; see `Survey.select`."""
-    keys = keys_in(survey.folder)
-    call = call_of(replace(keys, output=replace(keys.output, replan=True)))
+    given = {name: options.pop(name) for name in ("allocator", "instrument", "rule") if name in options}
+    keys = keys_in(survey.folder, given)
+    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **given)
     call["catalog"] = call.pop("visits")
     if isinstance(call["allocator"], AllocationOptions):
         call["allocator"] = replace(call["allocator"], subpriority=None)  # each realization has its own subpriorities

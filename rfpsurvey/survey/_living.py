@@ -155,7 +155,8 @@ class Living:
             Number of realizations of the survey, each of which repeats the recorded observations.
         **options : object
             The parameters ``folder``, ``resume``, ``executor``, ``progress`` and ``rng`` of
-            `rfpsurvey.selection_probabilities`.
+            `rfpsurvey.selection_probabilities`, and parameters that the plan file cannot contain, such as a function
+            as ``allocator``.
 
         Returns
         -------

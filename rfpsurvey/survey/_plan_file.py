@@ -263,7 +263,8 @@ def write_call(request, call: dict, folder: Path) -> None:
     if text_of is None:
         values, lacking = _values_of(request, call, folder.resolve() / inputs.INPUTS)
         values |= {"python": lacking} if lacking else {}
-        text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, outputs=("output.folder",))
+        tables = ("options",) if request.joint is None else ("options", "joint")
+        text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, tables=tables)
     text = text_of(folder)
     write_bytes(folder / inputs.RECORD, text.encode(), sync=True)
     for path in (folder / inputs.INPUTS).glob("*"):
