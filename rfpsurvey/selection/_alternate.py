@@ -11,9 +11,10 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey.errors import InputError
+from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.selection._state import State, to_bits, to_mask
 from rfpsurvey.selection._work import BlockDone
-from rfpsurvey.survey import Request, SurveyState
+from rfpsurvey.survey import Request, SurveyState, visits_without_rule
 
 Observation = tuple[int, tuple[str, ...]]
 """The generation with whose plan a tile was observed, and the names of the positioners that failed."""
@@ -25,6 +26,8 @@ class Generation(NamedTuple):
     number: int
     """Number of files of events with which the plan was made."""
     request: Request
+    requested: np.ndarray
+    """Number of visits of each target that is requested before the rule is applied, in the order of rows."""
     kept: dict[int, Observation]
     """For the row of each tile that was not planned, because it had been observed, its observation as known then."""
     observed: dict[int, list[tuple[str, ...]]]
@@ -37,6 +40,15 @@ class Generation(NamedTuple):
             return None
         ids = self.request.instrument.focal_plane.id.astype(str)
         return [np.flatnonzero(np.isin(ids, names)) for names in self.observed[row]]
+
+    def targets_after(self, made: np.ndarray, failed: np.ndarray) -> FieldBuilder:
+        """Return the targets, if the given numbers of visits of each target were made and have failed."""
+        request, state = self.request, self.request.state
+        columns = {"requested": self.requested, "observed": made, "failed": failed, "priority": None}
+        visits = state.rule.apply(columns)[0]
+        visits = np.where(state.dropped, np.minimum(visits, made), visits)
+        given = request.source, request.options, request.instrument, visits
+        return FieldBuilder(*given, made=made, dropped=state.dropped)
 
     @property
     def rounds(self) -> list[np.ndarray]:
@@ -60,10 +72,10 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
 
     The last generation is the plan of the tiles that remain.
     """
-    if {*state.rule.record} - {"visits"}:
+    if refused := [name for name in ("table", "function") if name in state.rule.record]:
         raise InputError(
-            "selection probabilities of a survey with recorded events need a rule that has only visits, got "
-            f"{', '.join(state.rule.record)}"
+            "selection probabilities of a survey with recorded events need a rule without a table and without a "
+            f"function, got a {refused[0]}"
         )
     states, kept, observed = {}, {}, {}
     numbers = [len(state.events.files)]
@@ -81,7 +93,10 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
             known = observed.setdefault(earlier, {}).setdefault(row, [])
             known += [failed] if failed not in known else []
             numbers.append(earlier)
-    return [Generation(n, prepare(states[n]), kept[n], observed.get(n, {})) for n in sorted(states)]
+    return [
+        Generation(n, prepare(states[n]), visits_without_rule(states[n]), kept[n], observed.get(n, {}))
+        for n in sorted(states)
+    ]
 
 
 class History:
@@ -94,8 +109,8 @@ class History:
     """
 
     def __init__(self, n_targets: int, n_realizations: int):
-        self.counts = np.zeros((n_realizations, 3), dtype=np.int64)
-        self.made = np.zeros((n_targets, n_realizations), dtype=np.uint8)
+        self.counts = np.zeros((n_realizations, 2), dtype=np.int64)
+        self.made, self.failed = np.zeros((2, n_targets, n_realizations), dtype=np.uint8)
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
@@ -110,17 +125,17 @@ class History:
     def _add(self, row: int, observation: Observation, sign: int) -> None:
         """Add the visits of an observation; with the sign -1, remove them, because the observation was corrected."""
         number, failed = observation
-        targets, _, good, counts = self._visits[row, number]
-        made = sign * to_bits(good[failed], len(self.counts)).astype(np.int8)
-        self.made[targets] += made.astype(np.uint8)  # modulo 256
-        self.counts += sign * np.column_stack([counts, np.abs(made).sum(axis=0)])
+        targets, mask, good, counts = self._visits[row, number]
+        self.counts += sign * counts
+        for visits, bits in ((self.made, good[failed]), (self.failed, mask & ~good[failed])):
+            visits[targets] += np.uint8(sign % 256) * to_bits(bits, len(counts))  # modulo 256
 
     def open_state(self, generation: Generation) -> State:
         """Return the state of the targets before a generation is planned.
 
         The visits of partly observed tiles are then already made.
         """
-        request, builder = generation.request, generation.request.builder
+        request = generation.request
         done = {row: one for row, one in generation.kept.items() if row in request.state.closed}
         for row in [*self._added]:
             if done.get(row) != self._added[row]:
@@ -128,10 +143,12 @@ class History:
         for row in {*done} - {*self._added}:
             self._added[row] = done[row]
             self._add(row, done[row], 1)
-        state, size, to_slots = State(builder, len(self.counts)), len(request.source), request.source.to_slots
-        for r, made in enumerate(self.made[:size].T):
-            left = builder.wanted - np.minimum(to_slots(made), builder.wanted)
-            state.left[:, r] = left if builder.reusable is None else np.where(builder.reusable, np.uint8(1), left)
+        state, size, to_slots = State(request.builder, len(self.counts)), len(request.source), request.source.to_slots
+        state.counts[:, :2] = self.counts
+        for r, visits in enumerate(zip(self.made[:size].T, self.failed[:size].T, strict=True)):
+            state.builder = generation.targets_after(*visits)
+            state.left[:, r] = state.builder.left
+            state.counts[r, 2] = (state.builder.wanted - state.builder.left)[state.spends].sum()
         state.first = state.left.copy()
         slot_of = np.empty(size, dtype=np.int64)
         slot_of[to_slots(np.arange(size))] = np.arange(size)
@@ -173,4 +190,4 @@ def plan_history(
                 own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
                 history.keep(tile, generation, job.field.row, done, own)
     made = generation.request.source.to_slots(history.made)
-    return now.masks() | to_mask(column > 0 for column in made.T), history.counts + now.counts
+    return now.masks() | to_mask(column > 0 for column in made.T), now.counts

@@ -141,7 +141,7 @@ def _plan_rounds(
     The function ``failed`` of the row of a tile returns the positioners that failed when the tile was observed.
     """
     has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
-    request = request if together else request_of(request, *seeds)
+    request = request if together else request_of(request, state.builder, *seeds)
 
     def open_job(tile: int) -> Job:
         job = request.job(tile, state.is_open)

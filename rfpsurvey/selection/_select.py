@@ -105,7 +105,8 @@ def selection_probabilities(
         If the catalog or the tiling is empty, if two targets with requested visits have the same id, if a name or the
         identifier of a required target is unknown, if a number is out of range, if a subpriority or a joint plan is
         given, if a survey or its state is given that was planned with another instrument, with other options or with
-        cadences, or if the folder is in use, contains another computation, or is not writable.
+        cadences, if the rule of the state has a table or a function, or if the folder is in use, contains another
+        computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 

@@ -19,9 +19,9 @@ def seeds_of(seed: int, n: int) -> list[int]:
     return [int(word) >> 1 for word in np.random.SeedSequence(seed).generate_state(n, np.uint64)]
 
 
-def request_of(request: Request, seed: int) -> Request:
+def request_of(request: Request, builder: FieldBuilder, seed: int) -> Request:
     """Return the request of the survey of one realization."""
-    return replace(request, options=replace(request.options, subpriority=seed), seed=seed)
+    return replace(request, builder=builder, options=replace(request.options, subpriority=seed), seed=seed)
 
 
 def in_batch(request: Request) -> bool:
@@ -47,6 +47,8 @@ class State:
     """
 
     def __init__(self, builder: FieldBuilder, n_realizations: int):
+        self.builder = builder
+        """The targets of the last realization."""
         self.spends = np.broadcast_to(np.True_, len(builder.left)) if builder.spends is None else builder.spends
         self.first = np.broadcast_to(builder.left[:, None], (len(builder.left), n_realizations))
         """Number of remaining visits of each target in each realization before the first tile."""

@@ -2,6 +2,7 @@
 
 from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._columns import survey_facts
+from rfpsurvey.survey._history._catalogs import visits_without_rule
 from rfpsurvey.survey._history._diff import diff_surveys
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
@@ -53,5 +54,6 @@ __all__ = [
     "targets_of",
     "tiles_of",
     "verify_survey",
+    "visits_without_rule",
     "work",
 ]

@@ -1,5 +1,7 @@
 """Selection probabilities of a survey with recorded events, compared with surveys of single realizations."""
 
+import itertools
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -38,8 +40,11 @@ def live(plan, stars, failed):
     observe(survey, 3, "2026-01-03", fraction=0.0)
     survey = plan(survey)
     observe(survey, 0, "2026-01-04", failed.get(0, ()))
-    new = {"target": [10**6, 5], "state": ["added", "dropped"], "ra": [120.3, np.nan], "dec": [30.3, np.nan]}
-    survey.record(Table({**new, "priority": [5, np.nan]}))
+    dropped = [5, *range(20, 600, 20)]
+    table = Table({"target": [10**6, *dropped], "state": ["added", *["dropped"] * len(dropped)]})
+    for name, value in {"ra": 120.3, "dec": 30.3, "priority": 5}.items():
+        table[name] = [value, *[np.nan] * len(dropped)]
+    survey.record(table)
     survey = plan(survey)
     observe(survey, 4, "2026-01-05", failed[4])
     return plan(survey)
@@ -129,9 +134,39 @@ def test_visits_to_standards_are_not_counted(stars, tmp_path, allocator, kinds):
     compare(live, targets, tmp_path, allocator, {1: [], 4: []}, **more)
 
 
-def test_rules_that_depend_on_observations_are_refused(stars, tmp_path):
+RULES = [VisitRule(after_success=3), VisitRule(retries=0), VisitRule(visits=2, after_success=4, retries=1)]
+FEW = [(0, "nearest", live), (1, "repair", live), (1, "lamost_rule", live_and_correct), (2, "nearest", live)]
+CASES = [*itertools.product(range(len(RULES)), ["nearest", "lamost_rule", "repair"], [live, live_and_correct])]
+
+
+@pytest.mark.filterwarnings(
+    "ignore:rng has no effect", "ignore:.*requirement", "ignore:required targets", "ignore:the first plan"
+)
+@pytest.mark.parametrize(
+    ("rule", "allocator", "life"),
+    [one if one in FEW else pytest.param(*one, marks=pytest.mark.exhaustive) for one in CASES],
+)
+def test_rules_are_applied_to_the_visits_of_each_realization(stars, tmp_path, rule, allocator, life):
+    """Some targets have no requested visits, some of these are required, and some have several roles."""
+    rng, n = np.random.default_rng(3), len(stars)
+    kind = rng.choice(["science", "science+standard", "standard", "sky"], n, p=[0.6, 0.2, 0.1, 0.1])
+    targets = rs.Catalog(stars.coord, priority=stars.priority, visits=rng.integers(0, 3, n), kind=kind)
+    names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
+    more = {"required": targets.id[::7]}
+    more |= {} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
+    survey, state, _ = compare(
+        life, targets, tmp_path, allocator, dict.fromkeys((0, 1, 4), names[::2]), RULES[rule], **more
+    )
+    assert (state.left != survey.state(targets).left).sum() > 10
+
+
+def test_rules_with_a_table_or_a_function_are_refused(stars, tmp_path):
     options = rs.AllocationOptions("nearest", subpriority=1)
     survey = rs.plan_survey(stars, INSTRUMENT, TILES[:1], allocator=options, folder=tmp_path / "survey")
-    state = survey.state(stars, rule=VisitRule(after_success=3))
-    with pytest.raises(rs.InputError, match="rule that has only visits, got after_success"):
-        rs.selection_probabilities(state, INSTRUMENT, TILES[:1], 2, allocator="nearest")
+    for name, rule in {
+        "table": VisitRule(retries=1, table=Table({"observed": [1], "visits": [3]})),
+        "function": VisitRule(function=lambda table: {"visits": table["requested"]}),
+    }.items():
+        state = survey.state(stars, rule=rule)
+        with pytest.raises(rs.InputError, match=f"without a table and without a function, got a {name}"):
+            rs.selection_probabilities(state, INSTRUMENT, TILES[:1], 2, allocator="nearest")

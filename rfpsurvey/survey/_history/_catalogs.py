@@ -33,6 +33,12 @@ def columns_of(catalog, visits: object) -> dict:
     return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
 
 
+def visits_without_rule(state) -> np.ndarray:
+    """Return the number of visits of each target that is requested in a `SurveyState` before its rule is applied."""
+    # recorded numbers of visits replace the given numbers in the catalog
+    return columns_of(state.catalog, None if state.events.target_tables else state.given[1])["requested"]
+
+
 def is_science(catalog: Catalog | PartitionedCatalog) -> np.ndarray:
     """Return whether each target is a science target."""
     kind = column_of(catalog, "kind")
