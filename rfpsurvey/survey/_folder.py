@@ -169,8 +169,8 @@ class Folder(RequestFolder):
     def has_part(self, tile: int, digest: str) -> bool:
         """Return whether the file of a tile has a checksum, which is also that in the index."""
         name = part_name(tile)
-        known = self._known.get(name, [(0, "")])[-1][1]
-        return known == digest and verified(self.path / name, digest) is not None
+        content = verified(self.path / name, digest)
+        return content is not None and self._known.get(name, [None])[-1] == (len(content), digest)
 
     def new_path(self, tile: int) -> Path | None:
         """Return the path of the file of a tile, or None if the index already describes this file."""

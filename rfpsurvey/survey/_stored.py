@@ -137,7 +137,7 @@ def verify_survey(folder: str | os.PathLike, catalog: object = None) -> QTable:
     >>> damaged["file"].tolist()
     ['outcomes.fits']
     """
-    folder = _io.to_path(folder)
+    folder = _io.to_path(folder).absolute()
     if not is_present(folder / REQUEST):
         Survey.read(folder)  # raises an error
     if not (catalog is None or isinstance(catalog, PartitionedCatalog)):
@@ -188,7 +188,9 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     known, n_strange = check(INDEX, MADE, read_lines, folder) or ({}, 0)
     if n_strange or not known:
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
-    chain = check(_folder.EVENTS, RESTORED, read_events, folder) if events is None else events
+    # a survey that was planned with the events of another folder does not contain them
+    is_own = "events" not in request or "planned" in request or is_present(folder / _folder.EVENTS)
+    chain = events or (check(_folder.EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
     events = chain or Events(folder)
     own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, RECORD, *known}
     own |= {f"{_folder.EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
@@ -250,7 +252,7 @@ def _check_outcomes(survey: Survey, planned: list[np.ndarray], events: Events) -
     requested, observed = (np.asarray(survey.outcomes[name]).astype(np.int64) for name in ("requested", "observed"))
     times = np.bincount(np.concatenate([[], *planned]).astype(np.int64), minlength=len(observed))
     is_wrong, applied = len(times) > len(observed), events.of_plan(survey.provenance)
-    if not is_wrong:
+    if not is_wrong and applied.digest == survey.provenance.get("events", {"digest": ""})["digest"]:
         if applied.files:
             made = replay_of_plan(survey, applied).made
             times = np.maximum(np.minimum(times + made, requested), made)

@@ -274,7 +274,10 @@ DAMAGES = {
         for name in ("planned tile", "observed tile", "outcomes")
     },
     "index: a line twice": lines("planned tile", lambda found, row: [*found[: row + 1], *found[row:]]),
-    "index: another size": lines("table of tiles", line(lambda old: old.replace(",", ",1", 1))),
+    **{
+        f"index: another size of the {name}": lines(name, line(lambda old: old.replace(",", ",1", 1)))
+        for name in ("table of tiles", "planned tile", "observed tile")
+    },
     "index: other text": lines("planned tile", line(lambda old: f"\ufffd junk\n{old}")),
     "index: reversed": lines("planned tile", lambda found, _: found[::-1]),
     "index: a further file": lines("planned tile", line(lambda old: f"{old}tiles/000/000900.fits,5,{'0' * 64}\n")),

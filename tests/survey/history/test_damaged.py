@@ -125,13 +125,16 @@ def test_damaged_joint_plans_are_found_or_repaired(tmp_path):
 
 
 def test_surveys_without_damage(sound, tmp_path, case):
-    """An unfinished survey, events that are not planned, and copies of plans are no damage."""
+    """Unfinished surveys, later events, and surveys planned with the events of another folder are no damage."""
     folder = shutil.copytree(sound[0], tmp_path / "survey")
     table = verify_survey(folder, damaged_surveys.SKY)
     assert (len(table), table.colnames, table.meta["others"]) == (0, ["file", "problem", "remedy"], [])
     rs.Survey.read(folder).record(events(tile=15, date="2999-01-07"))
     assert found_in(folder) == []
     assert found_in(folder, case[0]) == ["survey.json"]
+    state = SurveyState.read(folder, damaged_surveys.SKY)
+    rs.plan_survey(*damaged_surveys.CASE, folder=tmp_path / "other", visits=state, **damaged_surveys.OPTIONS)
+    assert found_in(tmp_path / "other", damaged_surveys.SKY) == []
     for stop in (1, 4):
 
         def interrupt(done, _, stop=stop):
