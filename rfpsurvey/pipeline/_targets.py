@@ -4,6 +4,7 @@ The *slot* of a target is its position in the order in which the targets of a ca
 *row* is the number of its row in the catalog.
 """
 
+from copy import copy
 from functools import cached_property
 from typing import NamedTuple
 
@@ -242,31 +243,55 @@ class FieldBuilder:
         marked = mark_required(options.required_ids, source.ids_by_part())
         self.n_required = 0 if marked is None else int(np.count_nonzero(marked))
         self.is_required = None if marked is None else source.to_slots(marked)
+        kind, self._science, self._several, self.spends = source.by_slot("kind"), None, None, None
+        if kind is not None:
+            self._science = has_role(kind, "science")
+            if options.counts or options.distributions:  # then fields also contain targets in other roles
+                self._several = self._science & (kind != "science")
+            self.spends = None if self._several is None and marked is None else self._science
         visits = source.by_slot("visits") if visits is None else source.to_slots(to_visits(visits, len(source)))
         visits = np.ones(len(source), dtype=np.uint8) if visits is None else visits
-        if marked is not None:
+        self._begin(visits, made, dropped, source.by_slot("visits") if has_cadences else visits)
+
+    def _begin(self, visits, made, dropped, available) -> None:
+        """Set the numbers of visits; science targets with ``available`` visits can be used in their other roles."""
+        to_slots = self.source.to_slots
+        if self.is_required is not None:
             raised = self.is_required & (visits == 0)
-            raised = raised if dropped is None else raised & ~source.to_slots(dropped)
+            raised = raised if dropped is None else raised & ~to_slots(dropped)
             visits = np.where(raised, np.uint8(1), visits)
-        kind, self.reusable, self.spends, self.lasting = source.by_slot("kind"), None, None, None
-        science = None if kind is None else has_role(kind, "science")
-        self.visits = visits
-        self.wanted = self.left = visits if science is None else np.where(science, visits, np.uint8(0))
-        self.surplus = None
+        self.visits, self.surplus, self.reusable, self.lasting = visits, None, None, None
+        self.wanted = self.left = visits if self._science is None else np.where(self._science, visits, np.uint8(0))
         if made is not None:
-            made = source.to_slots(made)
+            made = to_slots(made)
             self.left = self.wanted - np.minimum(made, self.wanted)
             self.surplus = made - np.minimum(made, self.wanted)
-        uses_others = bool(options.counts or options.distributions)
-        if science is not None and (uses_others or marked is not None):
-            self.spends, self.reusable = science, ~science & (visits > 0)
-            if not uses_others:
-                self.reusable &= self.is_required
+        if self.spends is not None:
+            self.reusable = ~self.spends & (visits > 0)
+            self.reusable &= self.is_required if self._several is None else True
             self.left = np.where(self.reusable, np.uint8(1), self.left)
-            available = source.by_slot("visits") if has_cadences else visits
-            lasting = science & (kind != "science") & uses_others
-            lasting &= True if available is None else (visits > 0) | (available > 0)
+        if self._several is not None:
+            lasting = self._several & (True if available is None else (visits > 0) | (available > 0))
             self.lasting = lasting if lasting.any() else None
+
+    def after(self, visits: np.ndarray, made: np.ndarray, dropped: np.ndarray) -> "FieldBuilder":
+        """Return the rules with other numbers of visits.
+
+        Parameters
+        ----------
+        visits, made : ndarray of uint8
+            Requested number of visits of each target, and how many of them were made, in the order of the catalog.
+        dropped : ndarray of bool
+            Whether no visit of each target is requested although it is required, in the order of the catalog.
+
+        Returns
+        -------
+        FieldBuilder
+            The rules.
+        """
+        found, visits = copy(self), self.source.to_slots(visits)
+        found._begin(visits, made, dropped, visits)
+        return found
 
     def spending(self, slot: np.ndarray) -> np.ndarray:
         """Return the targets in ``slot`` of which a visit reduces the number of remaining visits.

@@ -43,12 +43,11 @@ class Generation(NamedTuple):
 
     def targets_after(self, made: np.ndarray, failed: np.ndarray) -> FieldBuilder:
         """Return the targets, if the given numbers of visits of each target were made and have failed."""
-        request, state = self.request, self.request.state
+        state = self.request.state
         columns = {"requested": self.requested, "observed": made, "failed": failed, "priority": None}
         visits = state.rule.apply(columns)[0]
         visits = np.where(state.dropped, np.minimum(visits, made), visits)
-        given = request.source, request.options, request.instrument, visits
-        return FieldBuilder(*given, made=made, dropped=state.dropped)
+        return self.request.builder.after(visits, made, state.dropped)
 
     @property
     def rounds(self) -> list[np.ndarray]:
@@ -110,7 +109,7 @@ class History:
 
     def __init__(self, n_targets: int, n_realizations: int):
         self.counts = np.zeros((n_realizations, 2), dtype=np.int64)
-        self.made, self.failed = np.zeros((2, n_targets, n_realizations), dtype=np.uint8)
+        self.made, self.failed = np.zeros((2, n_realizations, n_targets), dtype=np.uint8)
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
@@ -128,7 +127,7 @@ class History:
         targets, mask, good, counts = self._visits[row, number]
         self.counts += sign * counts
         for visits, bits in ((self.made, good[failed]), (self.failed, mask & ~good[failed])):
-            visits[targets] += np.uint8(sign % 256) * to_bits(bits, len(counts))  # modulo 256
+            visits[:, targets] += np.uint8(sign % 256) * to_bits(bits, len(counts)).T  # modulo 256
 
     def open_state(self, generation: Generation) -> State:
         """Return the state of the targets before a generation is planned.
@@ -145,10 +144,10 @@ class History:
             self._add(row, done[row], 1)
         state, size, to_slots = State(request.builder, len(self.counts)), len(request.source), request.source.to_slots
         state.counts[:, :2] = self.counts
-        for r, visits in enumerate(zip(self.made[:size].T, self.failed[:size].T, strict=True)):
-            state.builder = generation.targets_after(*visits)
+        for r, (made, failed) in enumerate(zip(self.made[:, :size], self.failed[:, :size], strict=True)):
+            state.builder = generation.targets_after(made, failed)
             state.left[:, r] = state.builder.left
-            state.counts[r, 2] = (state.builder.wanted - state.builder.left)[state.spends].sum()
+            state.counts[r, 2] = made.sum() - state.builder.surplus.sum()
         state.first = state.left.copy()
         slot_of = np.empty(size, dtype=np.int64)
         slot_of[to_slots(np.arange(size))] = np.arange(size)
@@ -189,5 +188,5 @@ def plan_history(
             if tile in generation.observed:
                 own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
                 history.keep(tile, generation, job.field.row, done, own)
-    made = generation.request.source.to_slots(history.made)
-    return now.masks() | to_mask(column > 0 for column in made.T), now.counts
+    to_slots = generation.request.source.to_slots
+    return now.masks() | to_mask(to_slots(made) > 0 for made in history.made), now.counts
