@@ -8,7 +8,8 @@ import numpy as np
 from rfpsurvey._executors import IN_FLIGHT, in_order
 
 # A task of an executor plans up to 8 tiles of a large round, because starting a task takes as long as planning a tile
-# by a simple rule. In rounds with fewer than 16 times as many tiles, tasks are smaller, so that all workers have tasks.
+# by a simple rule. In rounds with fewer than 16 times as many tiles, or if fewer than 32 times as many tiles may wait,
+# tasks are smaller, so that all workers have tasks.
 SHARE = 16
 
 
