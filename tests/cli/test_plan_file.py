@@ -14,7 +14,6 @@ from refusals import sentence
 from rfpsurvey._cli import plan, survey
 from rfpsurvey.inputs import _plan_file
 from rfpsurvey.inputs._keys import Part, build, keys_of
-from rfpsurvey.tile import versions
 
 SURVEY = keys_of(survey.SurveyKeys)
 
@@ -77,7 +76,7 @@ def test_a_survey_is_written_as_a_file_and_the_file_gives_the_same_survey(run, t
     expected["catalog"] = {"frame": "icrs"}
     record = (tmp_path / "first" / "plan.toml").read_text()
     assert tomllib.loads(record) == expected
-    assert f"# rfpsurvey {versions()["rfpsurvey"]}; keys without a value have the default values" in record
+    assert f"# rfpsurvey {rs.__version__}; keys without a value have the default values" in record
     assert "first holds a survey" in sentence(*run("survey", "files/plan.toml", "--rng", 7)[::2])
     assert (tmp_path / "first" / "plan.toml").read_text() == record  # a refused survey does not change the record
 
