@@ -2,13 +2,14 @@
 
 from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._columns import survey_facts
+from rfpsurvey.survey._continue import continue_survey
 from rfpsurvey.survey._history._catalogs import visits_without_rule
 from rfpsurvey.survey._history._diff import diff_surveys
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._history._status import status_facts, survey_status
 from rfpsurvey.survey._joint._options import JOINT, JointOptions
-from rfpsurvey.survey._plan import continue_survey, plan_survey, prepare_request
+from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._plan_file import (
     DEFAULT_CENTER,
     SurveyKeys,

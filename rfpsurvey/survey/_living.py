@@ -120,7 +120,7 @@ class Living:
         InputError
             As `rfpsurvey.survey.continue_survey`.
         """
-        from rfpsurvey.survey._plan import continue_survey
+        from rfpsurvey.survey._continue import continue_survey
 
         return continue_survey(self.folder, executor=executor, progress=progress, **changes)
 

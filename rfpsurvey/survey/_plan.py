@@ -1,7 +1,6 @@
 """The function `plan_survey`, and the validation of its parameters."""
 
 import logging
-import os
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import replace
@@ -13,7 +12,6 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._io import to_path
 from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_lacks, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
@@ -36,7 +34,7 @@ from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._joint._options import JointOptions, as_joint
 from rfpsurvey.survey._order import ORDERS
-from rfpsurvey.survey._plan_file import call_of, keys_in, write_call
+from rfpsurvey.survey._plan_file import write_call
 from rfpsurvey.survey._request import Request, make_request
 from rfpsurvey.survey._run import run
 from rfpsurvey.survey._source import InMemory, Partitioned
@@ -180,60 +178,6 @@ def plan_survey(
     warn_of_costly_rules(survey.summary.get("n_lost_to_rules", 0), survey.summary["n_science"])
     log.info("planned a survey of %d tiles in %.1f s: %s", len(survey), perf_counter() - begin, survey.summary)
     return survey
-
-
-def continue_survey(
-    folder: str | os.PathLike,
-    *,
-    executor: Executor | None = None,
-    progress: bool | Callable = False,
-    **changes: object,
-) -> Survey:
-    """Plan the rest of the survey in a folder, which was interrupted, or whose observations were recorded.
-
-    The targets, the instrument, the tiles and all options are those in the plan file of the folder, ``plan.toml``.
-
-    Parameters
-    ----------
-    folder : str or path-like
-        The folder of the survey.
-    executor, progress : optional
-        As in `plan_survey`.
-    **changes : object
-        Parameters of `plan_survey` with other values than in the first plan: an ``instrument`` in which other
-        positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
-        parameters that the plan file cannot contain, such as a function as ``allocator``.
-
-    Returns
-    -------
-    Survey
-        The survey.
-
-    Raises
-    ------
-    InputError
-        As `plan_survey`, and if a parameter that the plan file cannot contain is not given.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> from astropy.coordinates import SkyCoord
-    >>> from tempfile import TemporaryDirectory
-    >>> import rfpsurvey as rs
-    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
-    >>> with TemporaryDirectory() as folder:
-    ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
-    ...     said = survey.record([{"tile": 0, "state": "bad"}])
-    ...     survey = rs.survey.continue_survey(f"{folder}/survey")
-    >>> len(survey)
-    1
-    """
-    if folder is None:
-        raise InputError("the rest of a survey can be planned only in its folder, got a survey without a folder")
-    folder = to_path(folder)
-    keys = keys_in(folder, changes)
-    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
-    return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
 
 
 def prepare_request(

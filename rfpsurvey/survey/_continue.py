@@ -1,0 +1,66 @@
+"""The function `continue_survey`, which plans the rest of a survey from its folder alone."""
+
+import os
+from collections.abc import Callable
+from concurrent.futures import Executor
+from dataclasses import replace
+
+from rfpsurvey._io import to_path
+from rfpsurvey.errors import InputError
+from rfpsurvey.survey._plan import plan_survey
+from rfpsurvey.survey._plan_file import call_of, keys_in
+from rfpsurvey.survey._survey import Survey
+
+
+def continue_survey(
+    folder: str | os.PathLike,
+    *,
+    executor: Executor | None = None,
+    progress: bool | Callable = False,
+    **changes: object,
+) -> Survey:
+    """Plan the rest of the survey in a folder, which was interrupted, or whose observations were recorded.
+
+    The targets, the instrument, the tiles and all options are those in the plan file of the folder, ``plan.toml``.
+
+    Parameters
+    ----------
+    folder : str or path-like
+        The folder of the survey.
+    executor, progress : optional
+        As in `plan_survey`.
+    **changes : object
+        Parameters of `plan_survey` with other values than in the first plan: an ``instrument`` in which other
+        positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
+        parameters that the plan file cannot contain, such as a function as ``allocator``.
+
+    Returns
+    -------
+    Survey
+        The survey.
+
+    Raises
+    ------
+    InputError
+        As `plan_survey`, and if a parameter that the plan file cannot contain is not given.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> from tempfile import TemporaryDirectory
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=4000, rng=1)
+    >>> with TemporaryDirectory() as folder:
+    ...     survey = rs.plan_survey(sky, "desi", SkyCoord(["6h20m"], ["+23d"]), folder=f"{folder}/survey")
+    ...     said = survey.record([{"tile": 0, "state": "bad"}])
+    ...     survey = rs.survey.continue_survey(f"{folder}/survey")
+    >>> len(survey)
+    1
+    """
+    if folder is None:
+        raise InputError("the rest of a survey can be planned only in its folder, got a survey without a folder")
+    folder = to_path(folder)
+    keys = keys_in(folder, changes)
+    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
+    return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
