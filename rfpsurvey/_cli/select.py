@@ -3,6 +3,7 @@
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
+from typing import Annotated
 
 import numpy as np
 
@@ -13,9 +14,9 @@ from rfpsurvey._cli._command import Given, command
 from rfpsurvey._cli.survey import values_of
 from rfpsurvey._outputs import check_separate
 from rfpsurvey._settings import option
-from rfpsurvey.inputs import build
+from rfpsurvey.inputs import Part, build
 from rfpsurvey.selection import selection_facts
-from rfpsurvey.survey import JOINT, SurveyKeys, read_tiles, state_in, targets_of, tiles_of
+from rfpsurvey.survey import SurveyKeys, allocator_of, read_tiles, state_in, targets_of, tiles_of
 
 
 @dataclass(frozen=True)
@@ -53,7 +54,8 @@ class SelectKeys(inputs.WorkerKeys):
     catalog: inputs.SurveyCatalogKeys
     instrument: inputs.InstrumentKeys
     tiles: inputs.TilesKeys
-    options: inputs.Options
+    options: inputs.SurveyOptions
+    joint: Annotated[dict, Part(rs.JointOptions, omit=("allocator",))]
     output: SelectOutputKeys
     n_realizations: int = option(128, low=1)
     order: inputs.Order = "color"
@@ -92,11 +94,6 @@ def select(keys: SelectKeys, given: Given) -> None:
         place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
         own = {name: one for name, one in given.values.items() if name != "catalog.path"}
         keys = build(SelectKeys, {name: one for name, one in shared.items() if not name.startswith("output.")} | own)
-    if keys.options.get("allocator") == JOINT:
-        raise rs.InputError(
-            "selection probabilities need an allocator that plans the tiles one by one, got a survey that was planned "
-            "with allocator joint"
-        )
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
@@ -109,7 +106,7 @@ def select(keys: SelectKeys, given: Given) -> None:
         targets = state_in(place, catalog=targets)
     elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
-    options = _surveys.options_of(keys) | {"allocator": rs.AllocationOptions(**keys.options)}
+    options = _surveys.options_of(keys) | {"allocator": allocator_of(keys.options, keys.joint)}
     tiling = tiles_of(tiling, targets if survey is None else targets.first, model)
     tiling = tiling if survey is None else inputs.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
@@ -126,7 +123,7 @@ def select(keys: SelectKeys, given: Given) -> None:
         draw=lambda: rs.plot.plot_selection(found).figure,
         report=(found, {"data": output or stored}),
     ):
-        _print_selection(found, options["allocator"].name, seconds)
+        _print_selection(found, found.provenance["parameters"]["allocator"], seconds)
         if stored is not None:
             print(f"wrote {stored}")
 

@@ -21,7 +21,7 @@ from rfpsurvey.selection._folder import NAME, SelectionFolder
 from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
 from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
 from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
-from rfpsurvey.survey import Job, Request, run_rounds
+from rfpsurvey.survey import Job, Request, plan_jointly, run_rounds
 from rfpsurvey.tile import model_sentence
 
 IN_FLIGHT = 32
@@ -142,6 +142,8 @@ def _plan_rounds(
     """
     has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
     request = request if together else request_of(request, state.builder, *seeds)
+    if request.joint is not None:
+        request = plan_jointly(request, None, executor, progress=False)[0]
 
     def open_job(tile: int) -> Job:
         job = request.job(tile, state.is_open)

@@ -19,7 +19,7 @@ from rfpsurvey.instrument import Instrument
 from rfpsurvey.selection._alternate import generations_of
 from rfpsurvey.selection._probabilities import SelectionProbabilities
 from rfpsurvey.selection._run import run
-from rfpsurvey.survey import Request, Survey, SurveyState, call_of, keys_in, prepare_request
+from rfpsurvey.survey import JointOptions, Request, Survey, SurveyState, as_joint, call_of, keys_in, prepare_request
 from rfpsurvey.tiling import Tiling
 
 log = logging.getLogger("rfpsurvey")
@@ -33,7 +33,7 @@ def selection_probabilities(
     tiles: Tiling | Survey | Table | SkyCoord,
     n_realizations: int = 128,
     *,
-    allocator: AllocationOptions | str | Callable = DEFAULT_ALLOCATOR,
+    allocator: AllocationOptions | JointOptions | str | Callable = DEFAULT_ALLOCATOR,
     passes: list[int] | None = None,
     epoch: Time | str | float | None = None,
     lost_in_collision: bool = True,
@@ -66,9 +66,10 @@ def selection_probabilities(
         and its instrument, allocator, options, order and epoch must be the same as those of the realizations.
     n_realizations : int, optional
         Number of realizations, at least 1.
-    allocator : AllocationOptions or str or callable, optional
+    allocator : AllocationOptions or JointOptions or str or callable, optional
         The allocator for all tiles, with or without its options; it must be the allocator of the survey whose
-        selection is studied. The default is the default of `plan_survey`. The option ``subpriority`` must not be given.
+        selection is studied. A joint plan must have no time limit. The default is the default of `plan_survey`. The
+        option ``subpriority`` must not be given.
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
@@ -103,10 +104,10 @@ def selection_probabilities(
     ------
     InputError
         If the catalog or the tiling is empty, if two targets with requested visits have the same id, if a name or the
-        identifier of a required target is unknown, if a number is out of range, if a subpriority or a joint plan is
-        given, if a survey or its state is given that was planned with another instrument, with other options or with
-        cadences, if the rule of the state has a table or a function, or if the folder is in use, contains another
-        computation, or is not writable.
+        identifier of a required target is unknown, if a number is out of range, if a subpriority is given, if a joint
+        plan has a time limit or observed tiles, if a survey or its state is given that was planned with another
+        instrument, with other options or with cadences, if the rule of the state has a table or a function, or if the
+        folder is in use, contains another computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
@@ -153,10 +154,10 @@ def selection_probabilities(
             "the folder of the computation to resume must be given with folder= (or --folder), got no folder"
         )
     check_choice(order, ("color", "given"), "order")
-    if getattr(allocator, "subpriority", None) is not None:
+    one = allocator.allocator if isinstance(allocator, JointOptions) else allocator
+    if getattr(one, "subpriority", None) is not None:
         raise InputError(
-            f"subpriority must not be given, because each realization has its own subpriorities, "
-            f"got {allocator.subpriority}"
+            f"subpriority must not be given, because each realization has its own subpriorities, got {one.subpriority}"
         )
     options = {
         "allocator": allocator,
@@ -180,17 +181,16 @@ def selection_probabilities(
             "each row of the catalog its own id"
         )
     if request.joint is not None:
-        raise InputError("selection probabilities need an allocator that plans the tiles one by one, got a joint plan")
+        _check_joint(request)
     generations = None
     if is_state:
         _check_same(Survey.read(catalog.folder).provenance, request)
         with used_elsewhere("rng"):
             generations = generations_of(catalog, prepare)
     elif survey is not None:
-        if "conditions" in survey.provenance["parameters"] or "joint" in survey.provenance["parameters"]:
+        if "conditions" in survey.provenance["parameters"]:
             raise InputError(
-                "tiles must be a survey that was planned without observing conditions, one tile after the other; give "
-                "the tiling of other surveys"
+                "tiles must be a survey that was planned without observing conditions; give the tiling of other surveys"
             )
         _check_same(survey.provenance, request)
     found = run(request, int(n_realizations), folder, executor, progress, resume=resume, generations=generations)
@@ -206,9 +206,23 @@ def select_survey(survey: Survey, n_realizations: int, **options: object) -> Sel
     keys = keys_in(survey.folder, given)
     call = call_of(replace(keys, output=replace(keys.output, replan=True)), **given)
     call["catalog"] = call.pop("visits")
-    if isinstance(call["allocator"], AllocationOptions):
-        call["allocator"] = replace(call["allocator"], subpriority=None)  # each realization has its own subpriorities
+    options_of_tiles, joint = as_joint(call["allocator"], "color")
+    plain = replace(options_of_tiles, subpriority=None)  # each realization has its own subpriorities
+    call["allocator"] = plain if joint is None else replace(joint, allocator=plain)
     return selection_probabilities(n_realizations=n_realizations, **call | options)
+
+
+def _check_joint(request: Request) -> None:
+    """Raise an error if a joint plan cannot be repeated in realizations."""
+    if request.joint.time_limit is not None:
+        raise InputError(
+            "a joint plan must end after a number of iterations in selection probabilities, so that it is "
+            f"reproducible, got the time limit {request.joint.time_limit}"
+        )
+    if request.joint.fixed is not None or (request.state is not None and request.state.kept):
+        raise InputError(
+            "selection probabilities of a joint plan need a survey of which no tile was observed, got observed tiles"
+        )
 
 
 def _check_same(provenance: dict, request: Request) -> None:
@@ -219,7 +233,8 @@ def _check_same(provenance: dict, request: Request) -> None:
     recorded, used = {"moves": "exchange", **provenance["parameters"]}, provenance["instrument"]["name"]
     if request.instrument.name != used:
         raise InputError(f"the instrument must be {used!r}, as for the survey, got {request.instrument.name!r}")
-    for name, value in json.loads(json.dumps(request.parameters)).items():  # in the form of a survey that was read
+    parameters = {"joint": None, **json.loads(json.dumps(request.parameters))}  # in the form of a survey that was read
+    for name, value in parameters.items():
         if name not in ("rng", "time_limit_s", "tie_seed") and recorded.get(name) != value:
             raise InputError(f"{name} must be {recorded.get(name)!r}, as for the survey, got {value!r}")
     order = recorded.get("subpriority")

@@ -8,7 +8,8 @@ from rfpsurvey.survey._history._diff import diff_surveys
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._history._status import status_facts, survey_status
-from rfpsurvey.survey._joint._options import JOINT, JointOptions
+from rfpsurvey.survey._joint._options import JOINT, JointOptions, as_joint
+from rfpsurvey.survey._joint._plan import plan_jointly
 from rfpsurvey.survey._plan import plan_survey, prepare_request
 from rfpsurvey.survey._plan_file import (
     DEFAULT_CENTER,
@@ -39,10 +40,12 @@ __all__ = [
     "SurveyState",
     "VisitRule",
     "allocator_of",
+    "as_joint",
     "call_of",
     "continue_survey",
     "diff_surveys",
     "keys_in",
+    "plan_jointly",
     "plan_survey",
     "prepare_request",
     "reach_of",

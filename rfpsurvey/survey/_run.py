@@ -15,7 +15,7 @@ from rfpsurvey.errors import warn
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._folder import JOINT, TABLES, Folder
 from rfpsurvey.survey._history._events import TileState
-from rfpsurvey.survey._joint._plan import plan_together
+from rfpsurvey.survey._joint._plan import plan_jointly
 from rfpsurvey.survey._request import Request
 from rfpsurvey.survey._result import completeness_table, outcome_table, tile_table
 from rfpsurvey.survey._rounds import run_rounds
@@ -53,7 +53,7 @@ def run(
         counts["n_observed"], parts = state.n_observed, [None] * n
         known = _enter_observed(request, folder, state, counts, parts)
         if request.joint is not None:
-            request, joint, progress = plan_together(request, folder, executor, progress)
+            request, joint, progress = plan_jointly(request, folder, executor, progress)
         with Progress(progress, n, "tiles") as tell:
             tell(len(known), new=False)
             open_job, argument = partial(state.open_job, request), partial(_argument, folder, is_local(executor))

@@ -51,8 +51,12 @@ def check(found, sky, instrument, tiles, allocator, realizations, **options):
     assert found.n_realizations > max(realizations)
     for r in realizations:
         seed = int(found.realizations["seed"][r])
-        asked = allocator if isinstance(allocator, rs.AllocationOptions) else rs.AllocationOptions(allocator)
-        survey = rs.plan_survey(sky, instrument, tiles, allocator=replace(asked, subpriority=seed), rng=seed, **options)
+        joint = allocator if isinstance(allocator, rs.JointOptions) else None
+        asked = allocator if joint is None else joint.allocator
+        asked = asked if isinstance(asked, rs.AllocationOptions) else rs.AllocationOptions(asked)
+        asked = replace(asked, subpriority=seed)
+        asked = asked if joint is None else replace(joint, allocator=asked)
+        survey = rs.plan_survey(sky, instrument, tiles, allocator=asked, rng=seed, **options)
         observed = np.asarray(survey.outcomes["observed"]) > 0
         np.testing.assert_array_equal(found.observed_in(r), observed, err_msg=f"realization {r}")
         row, s = found.realizations[r], survey.summary

@@ -77,6 +77,17 @@ def test_allocators_that_plan_one_realization_after_the_other(small, options):
     check(found, sky, small, tiles, options, (0, 2))
 
 
+@pytest.mark.filterwarnings("ignore:.*requirement")
+def test_joint_plans(small):
+    sky, tiles = sky_of(0.8, 400, kinds=True), tiles_of(0.5, 3)
+
+    options = rs.JointOptions(iterations=2, allocator=rs.AllocationOptions("optimal", requirements=["standard=1"]))
+    found = rs.selection_probabilities(sky, small, tiles, 8, allocator=options)
+    check(found, sky, small, tiles, options, range(8))
+    plain = rs.selection_probabilities(sky, small, tiles, 8, allocator=options.allocator)
+    assert found.realizations["n_observed"].sum() > plain.realizations["n_observed"].sum()
+
+
 def test_an_allocator_of_another_package(small):
     def first(problem):
         target_of = np.full(len(problem.focal_plane), -1)

@@ -332,13 +332,15 @@ def test_requirements_without_effect_cause_a_warning():
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=options)
 
 
-def test_joint_plans_are_refused():
+def test_joint_plans_with_a_time_limit_are_refused():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
     with pytest.raises(rs.InputError, match="unknown order 'joint'; choose one of: color, given"):
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, order="joint")
-    for joint in ("joint", rs.JointOptions(iterations=0)):
-        with pytest.raises(rs.InputError, match="plans the tiles one by one, got a joint plan"):
-            rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=joint)
+    with pytest.raises(rs.InputError, match="must end after a number of iterations"):
+        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=rs.JointOptions(time_limit=1 * u.s))
+    joint = rs.JointOptions(allocator=rs.AllocationOptions("optimal", subpriority=3))
+    with pytest.raises(rs.InputError, match="subpriority must not be given"):
+        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=joint)
 
 
 def test_the_realizations_of_a_survey_have_its_options(case):
@@ -389,8 +391,11 @@ def test_only_surveys_with_random_subpriorities_have_unbiased_weights():
         rs.selection_probabilities(catalog, "sdss_apo", survey, 2, allocator=allocator)
 
 
-def test_surveys_with_conditions_or_joint_plans_are_refused(small):
+def test_surveys_with_conditions_or_other_joint_plans_are_refused(small):
     sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=50, rng=1)
-    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=rs.JointOptions(iterations=0))
-    with pytest.raises(rs.InputError, match="planned without observing conditions, one tile after the other"):
-        rs.selection_probabilities(sky, small, survey, 2, allocator="optimal")
+    options = rs.AllocationOptions("optimal", subpriority=1)
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=rs.JointOptions(iterations=0, allocator=options))
+    for other in ("optimal", rs.JointOptions(iterations=1)):
+        with pytest.raises(rs.InputError, match="joint must be {.*}, as for the survey, got"):
+            rs.selection_probabilities(sky, small, survey, 2, allocator=other)
+    rs.selection_probabilities(sky, small, survey, 2, allocator=rs.JointOptions(iterations=0))

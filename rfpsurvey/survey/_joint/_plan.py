@@ -37,7 +37,7 @@ class PlannedRequest(Request):
         return given_plan(self, super().job(tile, left), self.plans[tile])
 
 
-def plan_together(request: Request, folder, executor, progress) -> tuple[Request, QTable, object]:
+def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request, QTable, object]:
     """Plan all tiles together; return a request with these plans, and a table of the iterations of the search.
 
     Parameters
