@@ -28,10 +28,10 @@ def continue_survey(
     folder : str or path-like
         The folder of the survey.
     executor, progress : optional
-        As in `plan_survey`.
+        As in `~rfpsurvey.plan_survey`.
     **changes : object
-        Parameters of `plan_survey` with other values than in the first plan: an ``instrument`` in which other
-        positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
+        Parameters of `~rfpsurvey.plan_survey` with other values than in the first plan: an ``instrument`` in which
+        other positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
         parameters that the plan file cannot contain, such as a function as ``allocator``.
 
     Returns
@@ -42,7 +42,7 @@ def continue_survey(
     Raises
     ------
     InputError
-        As `plan_survey`, and if a parameter that the plan file cannot contain is not given.
+        As `~rfpsurvey.plan_survey`, and if a parameter that the plan file cannot contain is not given.
 
     Examples
     --------
