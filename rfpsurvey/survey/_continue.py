@@ -31,8 +31,8 @@ def continue_survey(
         As in `~rfpsurvey.plan_survey`.
     **changes : object
         Parameters of `~rfpsurvey.plan_survey` with other values than in the first plan: an ``instrument`` in which
-        other positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`. Also,
-        parameters that the plan file cannot contain, such as a function as ``allocator``.
+        other positioners are broken, or more ``tiles``. The parameter ``rule`` is a `~rfpsurvey.survey.VisitRule`.
+        Also, parameters that the plan file cannot contain, such as a function as ``allocator``.
 
     Returns
     -------
