@@ -273,7 +273,7 @@ def test_columns_and_units_of_tiles_can_be_given(call, files, tmp_path, words, m
     assert "columns of tiles: tile: who, ra: alpha, dec: delta\n" in out
     assert "2" in next(line for line in out.splitlines() if line.startswith("tiles ")).split()
     assert "no target was observed" not in err  # the centers are where the targets are
-    work = "place_tiles" if words[0] == "tile" else "inputs.model_of"
+    work = {"tile": "place_tiles", "survey": "inputs.model_of"}.get(words[0], "_cli._app.model_of")
     monkeypatch.setattr(f"rfpsurvey.{work}", lambda *_, **__: (_ for _ in ()).throw(rs.InputError("enough")))
     err = call(words[0], "--set", "tiles.units.ra=deg", code=2)[1]
     assert "warning: tiles.units has no effect without a table of tiles" in err
