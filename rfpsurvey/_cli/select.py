@@ -103,7 +103,8 @@ def select(keys: SelectKeys, given: Given) -> None:
     model = _app.model_of(keys.instrument, lambda: inputs.time_of_tiles(tiling, keys.epoch, {}))
     targets = targets_of(keys, model, tell=_print.print_text)
     if survey is not None:
-        targets = state_in(place, catalog=targets)
+        visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}
+        targets = state_in(place, catalog=targets, **visits)
     elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
     options = _surveys.options_of(keys) | {"allocator": allocator_of(keys.options, keys.joint)}

@@ -32,8 +32,8 @@ from rfpsurvey.inputs._keys import Key, Located, Part, add, build, find, keys_of
 from rfpsurvey.inputs._objects import (
     conditions_of,
     model_of,
+    no_output,
     read_catalog,
-    say_nothing,
     tiles_under,
     time_of,
     time_of_tiles,

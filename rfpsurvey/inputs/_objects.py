@@ -15,12 +15,12 @@ from rfpsurvey.observing import SITES, ObservingConditions, location
 from rfpsurvey.tiling import Tiling, times_of_tiles, when_of
 
 
-def say_nothing(text: str) -> None:
+def no_output(text: str) -> None:
     """Ignore a text, in place of a function that prints it."""
 
 
 def model_of(
-    keys, known_time: Callable[[], Time | None] | None = None, *, tell: Callable[[str], None] = say_nothing
+    keys, known_time: Callable[[], Time | None] | None = None, *, tell: Callable[[str], None] = no_output
 ) -> Instrument:
     """Return the instrument for its keys; ``tell`` is called with a summary of the states of its positioners.
 
@@ -93,7 +93,7 @@ def with_margins(model: Instrument, margins: dict) -> Instrument:
     return model.use_margins(replace(start, **given))
 
 
-def read_catalog(keys, *, tell: Callable[[str], None] = say_nothing) -> Catalog | PartitionedCatalog:
+def read_catalog(keys, *, tell: Callable[[str], None] = no_output) -> Catalog | PartitionedCatalog:
     """Read a catalog from a file, or from a folder with the partitions of a catalog."""
     options = {name: getattr(keys, name) or {} for name in ("columns", "units", "fill")}
     options |= {"frame": keys.frame, "keep": keys.keep}

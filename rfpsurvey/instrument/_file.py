@@ -37,7 +37,8 @@ class Written:
         Raises
         ------
         InputError
-            If the file exists and ``overwrite`` is False, or if the instrument has a distortion map with residuals.
+            If the path does not end in ``.ecsv``, if the file exists and ``overwrite`` is False, or if the instrument
+            has a distortion map with residuals.
         """
         path = check_output(path, (".ecsv",), overwrite=overwrite)
         table, optics = self.focal_plane.to_table(), self.distortion

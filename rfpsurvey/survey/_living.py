@@ -90,7 +90,8 @@ class Living:
         Raises
         ------
         InputError
-            If the catalog is another one, if the survey has cadences, or if a file of events is missing or damaged.
+            If the catalog is another one, if the survey has cadences, if a file of events is missing or damaged, or if
+            no catalog is given and the folder has no plan file.
         """
         from rfpsurvey.survey import _plan_file
 

@@ -22,7 +22,7 @@ from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.catalog import EXACT, Catalog, PartitionedCatalog, synthetic_catalog, write_exactly
 from rfpsurvey.constraints import circle_text
 from rfpsurvey.errors import InputError, listed, warn, warn_no_effect
-from rfpsurvey.inputs import Part, build, keys_of, say_nothing
+from rfpsurvey.inputs import Part, build, keys_of, no_output
 from rfpsurvey.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey.region import Region
 from rfpsurvey.survey._cadences import Cadences
@@ -35,6 +35,9 @@ from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling, as_tiling, conditions_of_tiles, place_tiles, warn_of_targets
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
+GIVEN = "given in Python"
+LACKING = {"rule": "rule.function", "allocator": "options.allocator", "instrument": "instrument.name"}
+"""Keys that have the value ``GIVEN`` if the file cannot contain a parameter, so that no default value replaces it."""
 TILE_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date", "mjd"}
 TILE_COLUMNS |= {"skybrightness", "sky_brightness"}
 """Columns of tables of tiles that surveys use."""
@@ -69,7 +72,7 @@ class SurveyOutputKeys(inputs.OutputKeys):
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyKeys(inputs.WorkerKeys):
-    """The keys of the command.
+    """The keys of a survey.
 
     Parameters
     ----------
@@ -96,7 +99,7 @@ class SurveyKeys(inputs.WorkerKeys):
     python: list[str] | None = None
 
 
-def targets_of(keys, model: Instrument, *, tell: Callable[[str], None] = say_nothing) -> Catalog | PartitionedCatalog:
+def targets_of(keys, model: Instrument, *, tell: Callable[[str], None] = no_output) -> Catalog | PartitionedCatalog:
     """Read the catalog of a survey from a file or a folder of partitions, with the columns that rules and cadences use.
 
     By default, make a synthetic catalog wider than a field. All commands that read the catalog of a survey call this
@@ -138,7 +141,7 @@ def _requested(keys) -> int | np.ndarray | None:
     return keys.catalog.visits if path is None else np.asarray(read_table(path)["visits"])
 
 
-def read_tiles(keys, *, tell: Callable[[str], None] = say_nothing) -> Tiling | None:
+def read_tiles(keys, *, tell: Callable[[str], None] = no_output) -> Tiling | None:
     """Return a table of tiles or centers, or None without a file; ``tell`` is called with the columns it uses."""
     columns, units = keys.columns or {}, keys.units or {}
     if keys.path is None:
@@ -192,7 +195,7 @@ def keys_in(folder: Path, given: Collection[str] = ()) -> SurveyKeys:
     return keys
 
 
-def state_in(folder: Path, *, tell: Callable[[str], None] = say_nothing, **given: object) -> SurveyState:
+def state_in(folder: Path, *, tell: Callable[[str], None] = no_output, **given: object) -> SurveyState:
     """Return the state of the survey in a folder for the catalog, the rule and the visits in its plan file.
 
     ``given`` contains values in place of them, and ``until`` (see `SurveyState.read`).
@@ -200,12 +203,19 @@ def state_in(folder: Path, *, tell: Callable[[str], None] = say_nothing, **given
     keys = keys_in(folder, {"allocator", "instrument", "tiles", *given})
     catalog = given.pop("catalog", None)
     if catalog is None:
-        model = as_instrument(keys.instrument.name) if keys.catalog.path else inputs.model_of(keys.instrument)
-        catalog = targets_of(keys, model, tell=tell)
-    return SurveyState.read(folder, catalog, **{"rule": VisitRule(**keys.rule), "visits": _requested(keys)} | given)
+        catalog = targets_of(keys, _model_in(keys), tell=tell)
+    rule = given.pop("rule") if "rule" in given else VisitRule(**keys.rule)
+    return SurveyState.read(folder, catalog, rule=rule, **{"visits": _requested(keys)} | given)
 
 
-def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = say_nothing, **given: object) -> dict:
+def _model_in(keys: SurveyKeys) -> Instrument | None:
+    """Return the instrument that is required to read the catalog of a survey; None if no key describes it."""
+    if "instrument" in (keys.python or ()):
+        return None
+    return as_instrument(keys.instrument.name) if keys.catalog.path else inputs.model_of(keys.instrument)
+
+
+def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **given: object) -> dict:
     """Return the parameters of `plan_survey` for keys; ``given`` contains parameters in place of those of the keys."""
     tiling = as_tiling(given["tiles"]) if "tiles" in given else read_tiles(keys.tiles, tell=tell)
     if "instrument" in given:
@@ -236,7 +246,8 @@ def check_inputs(folder: Path, request: dict) -> None:
         if own != request.get("instrument"):
             raise InputError(f"{folder / inputs.RECORD} must name the instrument of survey.json, got {own}")
     catalog = targets_of(keys, model)
-    check_first_catalog(request, catalog, _requested(keys), VisitRule(**keys.rule))
+    rule = VisitRule() if "rule" in (keys.python or ()) else VisitRule(**keys.rule)
+    check_first_catalog(request, catalog, _requested(keys), rule)
     if tiling is None:
         return
     tiling = inputs.tiles_under(tiling, keys.conditions)
@@ -300,7 +311,7 @@ def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
         (_allocator_values(call["allocator"]), "allocator"),
         (_instrument_values(call["instrument"], place), "instrument"),
     ):
-        values |= found or {}
+        values |= {LACKING[name]: GIVEN} if found is None else found
         lacking += [name] if found is None else []
     values["tiles.path"] = _stored(place, "tiles.ecsv", partial(_write_tiles, as_tiling(call["tiles"])))
     return values, lacking

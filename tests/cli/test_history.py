@@ -508,3 +508,28 @@ def test_python_and_commands_continue_each_others_surveys(call, plan, files, tmp
     call("select", others, "--n-realizations", 2, "--output", tmp_path / "selection.fits")
     bits = rs.SelectionProbabilities.read(tmp_path / "selection.fits").bits
     assert np.array_equal(bits, rs.Survey.read(expected).select(2).bits)
+
+
+@pytest.mark.filterwarnings("ignore:no target was observed")
+def test_what_no_file_describes_is_no_default_of_commands(run, files, tmp_path):
+    sky = rs.Catalog.read(files / "stars.fits")
+    survey = rs.plan_survey(
+        sky, "sdss_apo", rs.Tiling.read(files / "tiles.ecsv"), allocator=nothing, folder=tmp_path / "plan"
+    )
+    assert survey.summary["n_assigned"] == 0
+    code, _, err = run("survey", tmp_path / "plan", "--replan")
+    assert "unknown allocator 'given in Python'" in sentence(code, err)
+
+
+def nothing(problem):
+    """Assign nothing."""
+    return np.full(len(problem.focal_plane), -1)
+
+
+def test_visits_of_the_command_replace_those_of_the_survey(call, plan, tmp_path):
+    folder = plan()
+    expected = rs.Survey.read(folder).state(visits=2).requested
+    call("select", folder, "--visits", 2, "--n-realizations", 1, "--output", tmp_path / "selection.fits")
+    found = rs.SelectionProbabilities.read(tmp_path / "selection.fits").requested
+    assert set(found.tolist()) == {2}
+    assert np.array_equal(found, expected)

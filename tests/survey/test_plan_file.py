@@ -2,6 +2,7 @@
 
 import shutil
 import tomllib
+from dataclasses import replace
 
 import astropy.units as u
 import numpy as np
@@ -184,13 +185,41 @@ def by_hand(problem):
 def test_what_no_file_describes_must_be_given_again(tmp_path):
     call = make_call(plain, tmp_path) | {"allocator": by_hand}
     survey = rs.plan_survey(**call, folder=tmp_path / "plan")
-    assert tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())["python"] == ["allocator"]
+    file = tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())
+    assert (file["python"], file["options"]["allocator"]) == (["allocator"], "given in Python")
     with pytest.raises(rs.InputError, match="allocator must be given as in the first plan"):
         survey.replan()
     assert survey.replan(allocator=by_hand).summary["n_assigned"] == 0
     assert survey.state().left.sum() == N  # the state does not depend on the allocator
     with pytest.raises(rs.InputError, match="allocator"):
         survey.replan(allocator="repair")  # another allocator than that of the first plan
+
+
+def any_visits(table):
+    """Request the visits of the table."""
+    return {"visits": table["requested"]}
+
+
+def test_no_default_replaces_what_no_file_describes(tmp_path):
+    """The file would otherwise name a preset with the name of the instrument, and the state a rule without effect."""
+    lamost = rs.Instrument.preset("lamost")
+    traced = rs.projection.DistortionMap(
+        [0.0, 5000.0, 5000.0], 1, 0, max_angle=2.5 * u.deg, residuals=QTable({"n": [1]})
+    )
+    own = replace(lamost, plate_scale=None, distortion=traced)
+    call = make_call(plain, tmp_path) | {"instrument": own, "visits": rs.survey.VisitRule(function=any_visits)}
+    survey = rs.plan_survey(**call, folder=tmp_path / "plan")
+    file = tomllib.loads((tmp_path / "plan" / "plan.toml").read_text())
+    assert file["python"] == ["rule", "instrument"]
+    assert file["instrument"]["name"] == file["rule"]["function"] == "given in Python"
+    assert len(rs.survey.verify_survey(tmp_path / "plan")) == 0
+    with pytest.raises(rs.InputError, match="rule must be given as in the first plan"):
+        survey.state()
+    assert survey.state(rule=call["visits"]).left.sum() == N
+    with pytest.raises(rs.InputError, match="rule, instrument must be given"):
+        survey.replan()
+    found = survey.replan(rule=call["visits"], instrument=own)
+    assert found.outcomes["observed"].tolist() == survey.outcomes["observed"].tolist()
 
 
 def test_the_rest_is_planned_with_other_broken_positioners_and_another_rule(tmp_path):
