@@ -124,7 +124,8 @@ def visits_of(keys, targets, **given: object) -> SurveyState | VisitRule | Caden
         if keys.rule or keys.catalog.visits is not None or keys.output.replan:
             raise InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
         return Cadences(keys.cadences)
-    visits, rule = given.get("visits", _requested(keys)), given.get("rule", VisitRule(**keys.rule))
+    visits = given["visits"] if "visits" in given else _requested(keys)
+    rule = given["rule"] if "rule" in given else VisitRule(**keys.rule)
     for name in ("visits", "after_success"):
         if keys.catalog.visits and getattr(rule, name) is not None:
             warn(f"rule.{name} replaces the number of visits of all targets ({visits})")
