@@ -16,13 +16,13 @@ from rfpsurvey.errors import listed, number_of
 def record(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     table: Annotated[
-        Path,
+        Path | None,
         typer.Argument(
             help="Table of observations (FITS, ECSV, CSV, VOTable or Parquet) with the columns tile, state, date, "
-            "fraction, positioner, target, good or reason, or with the columns of DESI (TILEID, ZDATE, OBSSTATUS, "
-            "LASTNIGHT); table of changes to targets; or a confSummaryF file of SDSS-V."
+            "fraction, positioner, target, spectrograph, good or reason, or with the columns of DESI (TILEID, ZDATE, "
+            "OBSSTATUS, LASTNIGHT); table of changes to targets; or a confSummaryF file of SDSS-V."
         ),
-    ],
+    ] = None,
     enough: Annotated[
         str,
         typer.Option(
@@ -35,6 +35,25 @@ def record(
     column: Annotated[
         list[str] | None,
         typer.Option(metavar="ROLE=NAME", help="Name of a column, such as date=night. The option may be repeated."),
+    ] = None,
+    note: Annotated[str, typer.Option(help="Note that is stored with the record.")] = "",
+    replaces: Annotated[
+        bool,
+        typer.Option(
+            "--replaces",
+            help="Failed visits of the table replace those of earlier records of the same tile and date.",
+        ),
+    ] = False,
+    allow_future: Annotated[
+        bool, typer.Option("--allow-future", help="Accept dates that are later than tomorrow.")
+    ] = False,
+    undo: Annotated[
+        int | None,
+        typer.Option(
+            metavar="N",
+            help="Undo the record with this number, which rfpsurvey status FOLDER --events lists, instead of recording "
+            "a table.",
+        ),
     ] = None,
     dry_run: Annotated[
         bool, typer.Option("--dry-run", help="Print what would change, without recording anything.")
@@ -49,15 +68,32 @@ def record(
     rfpsurvey record plan night2.csv --column date=night --enough 0.9
     rfpsurvey record plan confSummaryF-998.par --tile 17
     rfpsurvey record plan new_targets.ecsv
+    rfpsurvey record plan --undo 3 --note "wrong night" --dry-run
     """
+    if (table is None) == (undo is None):
+        raise rs.InputError(f"either a table or --undo must be given, got {'neither' if table is None else 'both'}")
+    if undo is not None:
+        said = rs.Survey.read(folder).undo(undo, note=note, dry_run=dry_run)
+        _print_changes(said["changes"])
+        if dry_run:
+            print("nothing was undone (--dry-run)")
+        else:
+            print(f"record {undo} undone; to plan the rest: rfpsurvey survey {folder} --replan")
+        return
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
-    found = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, dry_run=dry_run)
+    options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
+    found = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)
     labels = {"n_events": "new events", "n_known": "already recorded", "n_ignored": "ignored (not observed)"}
     print_facts({label: found[name] for name, label in labels.items()})
-    for kind, names in found["changes"].items():
-        print_text(f"{kind:<34}{len(names):>12}  {listed(names, 5)}")
+    _print_changes(found["changes"])
     if dry_run:
         print("nothing was recorded (--dry-run)")
     elif found["n_events"]:
         print(f"{number_of(found['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")
+
+
+def _print_changes(changes: dict[str, list[str]]) -> None:
+    """Print the numbers of tiles and targets of each kind of change, and the first of them."""
+    for kind, names in changes.items():
+        print_text(f"{kind:<34}{len(names):>12}  {listed(names, 5)}")

@@ -29,6 +29,9 @@ def status(
     ] = None,
     report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
+    events: Annotated[
+        bool, typer.Option("--events", help="List all records (rfpsurvey record), with their numbers, and exit.")
+    ] = False,
     verify: Annotated[
         bool, typer.Option("--verify", help="Check all files, list those that are missing or damaged, and exit.")
     ] = False,
@@ -40,11 +43,19 @@ def status(
     rfpsurvey status plan
     rfpsurvey status plan --until 2026-01-31 --output targets.fits
     rfpsurvey status plan --plot status.png --report status.html
+    rfpsurvey status plan --events
     rfpsurvey status plan --verify
     """
+    n_options = sum(value is not None for value in (until, output, plot, report))
+    if (verify and (events or n_options)) or (events and n_options):
+        name = "--verify" if verify else "--events"
+        raise rs.InputError(f"{name} must be given without other options, got other options")
+    if events:
+        records = rs.Survey.read(folder).events()
+        records.remove_columns(["rows"])
+        _print.print_table(records)
+        return
     if verify:
-        if any(one is not None for one in (until, output, plot, report)):
-            raise rs.InputError("--verify must be given without other options, got other options")
         damaged = verify_survey(folder)
         for row in damaged:
             print(f"{row['file']}: {row['problem']}; {row['remedy']}")

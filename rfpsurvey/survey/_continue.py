@@ -4,9 +4,11 @@ import os
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
+from pathlib import Path
 
+from rfpsurvey import inputs
 from rfpsurvey._io import to_path
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, listed
 from rfpsurvey.survey._plan import plan_survey
 from rfpsurvey.survey._plan_file import call_of, keys_in
 from rfpsurvey.survey._survey import Survey
@@ -64,3 +66,14 @@ def continue_survey(
     keys = keys_in(folder, changes)
     call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
     return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
+
+
+def groups_in(folder: Path, column: str) -> dict[str, str]:
+    """Return the group of each positioner in a column of the instrument, such as its petal, as text."""
+    keys = keys_in(folder, {"allocator", "tiles", "visits", "rule"})
+    plane = inputs.model_of(keys.instrument).focal_plane
+    groups = {name.lower(): numbers for name, numbers in (plane.groups or {}).items()}
+    if column.lower() not in groups and (column.lower() != "spectrograph" or len(groups) != 1):
+        raise InputError(f"the column {column} must be a group of the positioners ({listed(groups)}), got {column!r}")
+    numbers = groups.get(column.lower(), next(iter(groups.values())))
+    return dict(zip(plane.id.astype(str).tolist(), numbers.astype(str).tolist(), strict=True))

@@ -5,7 +5,7 @@ import json
 import os
 import re
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
@@ -113,7 +113,7 @@ class Folder(RequestFolder):
                 "; give another folder", "; all options except visits must be those of the first plan"
             )
             raise InputError(text) from None
-        self._request["planned"] = self._planned if is_finished else today()
+        self._request["planned"] = self._planned if is_finished else str(clock().date())
 
     def _for_tiles_of(self, before: dict, now: dict) -> dict:
         """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""
@@ -143,11 +143,11 @@ class Folder(RequestFolder):
             write_bytes(self.path / DATES, dates_text(dates).encode(), sync=True)
         # plans that are not kept are removed from the index before the new request is written
         kept = {part_name(row): event for row, event in self._state.kept.items()}
-        for event in self._state.events.of_tiles():
-            name = part_name(event.row)
+        for row, plan in self._state.events.plans:
+            name = part_name(row)
             # the index, which can be damaged, does not determine which plans are kept
-            if event.plan and (name not in kept or kept[name].plan != event.plan):
-                self._copy(name, event.plan)
+            if name not in kept or kept[name].plan != plan:
+                self._copy(name, plan)
         stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
         for name in stale:
             del self._known[name]
@@ -267,10 +267,10 @@ def number_in(tiles: str) -> int:
     return int(number) if number.isdecimal() else 0
 
 
-def today() -> str:
-    """Return the present date, or the date that the environment variable SOURCE_DATE_EPOCH gives (s since 1970)."""
+def clock() -> datetime:
+    """Return the present time, or the time that the environment variable SOURCE_DATE_EPOCH gives (s since 1970)."""
     seconds = os.environ.get("SOURCE_DATE_EPOCH", "")
-    return str(datetime.fromtimestamp(int(seconds), UTC).date() if seconds.isdecimal() else date.today())
+    return datetime.fromtimestamp(int(seconds), UTC) if seconds.isdecimal() else datetime.now().astimezone()
 
 
 def plan_dates(folder: Path) -> dict[str, tuple[str, str]]:

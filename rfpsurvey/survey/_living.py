@@ -1,6 +1,7 @@
 """Methods of `Survey` for observations: their records, the state that follows from them, and the rest of the plan."""
 
 import os
+from functools import partial
 from importlib import import_module
 
 from astropy.table import QTable, Table
@@ -16,12 +17,16 @@ class Living:
         enough: float = 1.0,
         tile: int | str | None = None,
         columns: dict[str, str] | None = None,
+        note: str = "",
+        replaces: bool = False,
+        allow_future: bool = False,
         dry_run: bool = False,
     ) -> dict:
         """Record what was observed, or which tiles or targets changed, in the folder of the survey.
 
-        Each call appends one file to the folder. A later record of the same tile and date corrects the state of the
-        tile and adds failed visits; records that equal an earlier record are not repeated. If `plan_survey` is called
+        Each call appends one file to the folder, with the rows of the table, its name, the time and the user. A later
+        record of the same tile and date corrects the state of the tile and adds failed visits; records that equal an
+        earlier record are not repeated. `undo` undoes a record. If `plan_survey` is called
         with the new `state`, observed tiles keep their plans, and all other tiles are planned again.
 
         Parameters
@@ -29,7 +34,9 @@ class Living:
         table : Table, DataFrame, list of dict, or path-like
             Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
             ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
-            ``positioner`` or ``target``, ``reason``, and ``plan`` (the digest ``PLANID`` of the plan of the tile).
+            ``positioner`` or ``target``, ``spectrograph`` (also ``petal``, ``module`` or ``block``: all visits of this
+            group of positioners of the instrument), ``reason``, ``replaces``, and ``plan`` (the digest ``PLANID`` of
+            the plan of the tile).
             Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
             less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
             unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
@@ -44,6 +51,13 @@ class Living:
             The tile of all rows of a table without the column ``tile``.
         columns : dict of str to str, optional
             Names of columns of the table by their roles, which are the names above, such as ``{"date": "night"}``.
+        note : str, optional
+            Note that is stored with the record.
+        replaces : bool, optional
+            Whether the failed visits of the table replace those of earlier records of the same tile and date, instead
+            of being added to them. The column ``replaces`` of the table states this for single tiles.
+        allow_future : bool, optional
+            Whether dates later than tomorrow are accepted.
         dry_run : bool, optional
             Whether to check the table, and to return what would change, without recording anything.
 
@@ -59,9 +73,62 @@ class Living:
             If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
             value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
         """
+        from rfpsurvey.survey._continue import groups_in
         from rfpsurvey.survey._history._record import record
 
-        return record(self, table, enough=enough, tile=tile, columns=columns, dry_run=dry_run)
+        options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
+        groups = partial(groups_in, self.folder)
+        return record(self, table, enough=enough, tile=tile, columns=columns, groups=groups, **options)
+
+    def undo(self, number: int, *, note: str = "", dry_run: bool = False) -> dict:
+        """Undo a record, as if its table had not been recorded; tiles and targets that it added are dropped.
+
+        This appends a file to the folder, which can be undone as well. Records on which later records depend cannot be
+        undone before these.
+
+        Parameters
+        ----------
+        number : int
+            Number of the record, from 1; `events` lists the records.
+        note : str, optional
+            Note that is stored with the record.
+        dry_run : bool, optional
+            Whether to check only whether the record can be undone, and to return what would be undone.
+
+        Returns
+        -------
+        dict
+            The number of the record (``undone``), and its ``changes`` as in `record`.
+
+        Raises
+        ------
+        InputError
+            If there is no such record, if it was already undone, or if later records depend on it.
+        """
+        from rfpsurvey.survey._history._record import undo
+
+        return undo(self, number, note=note, dry_run=dry_run)
+
+    def events(self) -> QTable:
+        """Return a table of all records of the survey.
+
+        Returns
+        -------
+        QTable
+            Table with a row for each record: its ``number``, the ``time`` of recording (UTC), the ``user``, the name of
+            the ``table``, the ``note``, the first and the last date of its rows (``dates``), the numbers of tiles
+            (``n_tiles``), of failed visits (``n_failed``) and of targets (``n_targets``) that it states, the record
+            that it undoes (``undoes``, 0 for none), the record that undid it (``undone_by``), and the names of the
+            files in the folder ``events`` with its rows (``rows``).
+
+        Raises
+        ------
+        InputError
+            If the survey has no folder, or if a file of events is missing or damaged.
+        """
+        from rfpsurvey.survey._history._record import events_table
+
+        return events_table(self)
 
     def state(
         self, catalog: object = None, *, rule: object = None, visits: object = None, until: str | None = None

@@ -194,12 +194,12 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     events = chain or Events(folder)
     own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, RECORD, *known}
     own |= {f"{_folder.EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
-    for name in filter(None, (one.targets for one in events.files)):
+    for name in (name for file in events.files for name in file.others):
         own.add(f"{_folder.EVENTS}/{name}")
-        check(f"{_folder.EVENTS}/{name}", RESTORED, events.read_targets, name)
+        check(f"{_folder.EVENTS}/{name}", RESTORED, events.read_other, name)
     for event in TileStates(events.of_tiles()).attempts:
         check(_folder.part_name(event.row), CANCELED, events.plan, event.row, event.plan)
-    for name, plan in {(_folder.kept_name(event.plan), event.plan) for event in events.of_tiles()}:
+    for name, plan in {(_folder.kept_name(plan), plan) for _, plan in events.plans}:
         if is_present(folder / name):
             own.add(name)
             check(name, RESTORED, _folder.read_named, folder / name, plan)

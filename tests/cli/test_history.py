@@ -446,6 +446,25 @@ def test_invalid_input_of_differences_is_one_sentence(run, observed, tmp_path):
     assert "must end in" in sentence(*run("diff", observed, observed, "--output", tmp_path / "x.txt")[::2])
 
 
+def test_a_wrong_night_is_found_and_undone(run, call, plan, tmp_path):
+    folder = plan()
+    call("record", folder, write(tmp_path / "a.csv", tile=[11], date=["2026-01-03"]), "--note", "first night")
+    call("record", folder, write(tmp_path / "b.csv", tile=[12, 13], date=["2026-01-04"] * 2))
+    out = call("status", folder, "--events")[0].splitlines()
+    assert out[0].split()[:6] == ["number", "time", "user", "table", "note", "dates"]
+    assert [line.split()[0] for line in out[2:]] == ["1", "2"]
+    assert "first night" in out[2]
+    out, lines = call("record", folder, "--undo", "2", "--dry-run")
+    assert lines["tiles observed"] == ["2", "12,", "13"]
+    assert "nothing was undone (--dry-run)" in out
+    assert "record 2 undone" in call("record", folder, "--undo", "2", "--note", "another survey")[0]
+    assert [event.tile for event in rs.Survey.read(folder).state().attempts] == ["11"]
+    assert "either a table or --undo must be given, got neither" in sentence(*run("record", folder)[::2])
+    both = run("record", folder, tmp_path / "a.csv", "--undo", "1")
+    assert "either a table or --undo must be given, got both" in sentence(*both[::2])
+    assert "without other options" in sentence(*run("status", folder, "--events", "--verify")[::2])
+
+
 def test_a_rule_is_an_entry_point_of_a_package(call, plan, install):
     install(
         "mine", "def rule(table):\n    return {'visits': 3 - (table['priority'] == 1)}\n", visit_rules={"mine": "rule"}
@@ -471,9 +490,9 @@ def test_lists_of_tiles_and_catalogs_are_not_recorded(run, call, plan, files, tm
 
 SEED = "options.subpriority=1"
 NIGHTS = (
-    {"tile": [11, 12], "date": ["2099-01-03"] * 2, "state": ["done", "partly"]},
-    {"tile": [12], "date": ["2099-01-04"], "state": ["done"]},
-    {"tile": [13, 14], "date": ["2099-01-05"] * 2, "state": ["bad", "done"]},
+    {"tile": [11, 12], "date": ["2026-01-03"] * 2, "state": ["done", "partly"]},
+    {"tile": [12], "date": ["2026-01-04"], "state": ["done"]},
+    {"tile": [13, 14], "date": ["2026-01-05"] * 2, "state": ["bad", "done"]},
 )
 
 

@@ -38,7 +38,7 @@ def make_survey(folder: Path) -> Path:
     survey.record(events(tile=[12, 13], date="2026-01-03", state=["partly", "bad"]))
     dropped = survey.tile(13)["target_id"][:2].tolist()  # so that the next plan of tile 13 is another plan
     survey.record(events(target=dropped, state="dropped"))
-    replan(folder).record(events(tile=[12, 14], date="2999-01-05"))
+    replan(folder).record(events(tile=[12, 14], date="2999-01-05"), allow_future=True)
     survey.record(events(target=5000, visits=2, ra=120.1, dec=30.0, priority=2))
     replan(folder)
     return folder
@@ -56,6 +56,7 @@ FILES = {
     "middle event": "events/000003.json",
     "last event": "events/000005.json",
     "table of targets": "events/000003-*.fits",
+    "rows of a table": "events/000001-*.csv",
     "kept plan": "events/plans/*.fits",
     "dates of plans": "events/plans.csv",
     "checkpoint": "events/state.npz",
@@ -359,7 +360,7 @@ def status(folder: Path) -> list:
 
 
 def record(folder: Path) -> list:
-    said = rs.Survey.read(folder).record(events(tile=16, date="2999-01-09"))
+    said = rs.Survey.read(folder).record(events(tile=16, date="2999-01-09"), allow_future=True)
     return [said, (folder / "events/000006.json").read_bytes()]
 
 

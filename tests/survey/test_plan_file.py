@@ -134,7 +134,9 @@ def test_the_rest_of_a_survey_is_planned_from_its_folder(case, tmp_path, monkeyp
     monkeypatch.chdir(tmp_path)
     call = make_call(case, tmp_path)
     survey = rs.plan_survey(**call, folder="first")
-    survey.record(Table({"tile": [survey.tiles["tile"][0]], "date": ["2099-01-03"], "state": ["done"]}))
+    survey.record(
+        Table({"tile": [survey.tiles["tile"][0]], "date": ["2099-01-03"], "state": ["done"]}), allow_future=True
+    )
     shutil.copytree("first", "elsewhere")
     visits = call.pop("visits", None)
     given = {"rule": visits} if isinstance(visits, rs.survey.VisitRule) else {"visits": visits}
@@ -224,7 +226,7 @@ def test_no_default_replaces_what_no_file_describes(tmp_path):
 
 def test_the_rest_is_planned_with_other_broken_positioners_and_another_rule(tmp_path):
     survey = rs.plan_survey(**make_call(plain, tmp_path), folder=tmp_path / "plan")
-    survey.record(Table({"tile": [0], "date": ["2099-01-03"], "state": ["done"]}))
+    survey.record(Table({"tile": [0], "date": ["2099-01-03"], "state": ["done"]}), allow_future=True)
     sdss = rs.Instrument.preset("sdss_apo")
     sdss = sdss.with_states(Table({"id": sdss.focal_plane.id[:400]}))
     rule = rs.survey.VisitRule(after_success=2)
@@ -238,7 +240,7 @@ def test_the_rest_is_planned_with_other_broken_positioners_and_another_rule(tmp_
 def test_the_selection_of_a_survey_is_computed_from_its_folder(tmp_path):
     call = make_call(columns, tmp_path)
     survey = rs.plan_survey(**call, folder=tmp_path / "plan")
-    survey.record(Table({"tile": [1], "date": ["2099-01-03"], "state": ["done"]}))
+    survey.record(Table({"tile": [1], "date": ["2099-01-03"], "state": ["done"]}), allow_future=True)
     call |= {"allocator": "nearest", "catalog": survey.state(call["catalog"])}
     expected = rs.selection_probabilities(**call, n_realizations=3)
     assert np.array_equal(survey.select(3).bits, expected.bits)
@@ -287,7 +289,7 @@ def change(path, *, at):
 def test_damaged_inputs_are_found_and_never_used(name, damage, tmp_path):
     folder = tmp_path / "plan"
     survey = rs.plan_survey(**make_call(instrument_made_in_python, tmp_path), folder=folder)
-    survey.record(Table({"tile": [0], "date": ["2099-01-03"], "state": ["done"]}))
+    survey.record(Table({"tile": [0], "date": ["2099-01-03"], "state": ["done"]}), allow_future=True)
     assert len(rs.survey.verify_survey(folder)) == 0
     before = {path: path.read_bytes() for path in folder.rglob("tiles/*/*.fits")}
     (path,) = folder.glob(name)

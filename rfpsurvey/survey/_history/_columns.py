@@ -7,18 +7,21 @@ from astropy.table import Table
 
 from rfpsurvey._units import to_plain
 from rfpsurvey.errors import InputError, check_choice, listed, warn
-from rfpsurvey.survey._history._events import TileState, to_date
+from rfpsurvey.survey._history._dates import to_date
+from rfpsurvey.survey._history._events import TileState
 from rfpsurvey.survey._history._targets import IDS, NUMBERS, TEXTS, flag_codes, to_numbers
 
 ROLES = {
     "tile": ("tile", "tileid", "tile_id"),
     "state": ("state", "status", "obsstatus"),
     "good": ("good", "on_target"),
-    "date": ("date", "zdate", "lastnight", "night"),
+    "date": ("date", "zdate", "lastnight", "night", "mjd"),
     "fraction": ("fraction",),
     "positioner": ("positioner", "positioner_id"),
     "target": ("target", "target_id", "targetid"),
+    "spectrograph": ("spectrograph", "petal", "module", "block"),
     "reason": ("reason",),
+    "replaces": ("replaces",),
     "ra": ("ra", "tilera"),
     "dec": ("dec", "tiledec"),
     "position_angle": ("position_angle", "pa"),
@@ -26,9 +29,11 @@ ROLES = {
     "plan": ("plan", "planid", "plan_id"),
 }
 """Names of columns, by role; case is ignored."""
+VISITS = ("positioner", "target", "spectrograph")
+"""Roles of columns that state a visit of a tile, or all visits of a spectrograph."""
 PARTS = {
     *("id", "objectid", "catalogid", "robot", "robotid", "fiber", "fiberid"),
-    *("location", "locid", "hole", "holeid", "petal"),
+    *("location", "locid", "hole", "holeid"),
 }
 """Names, without underscores, of columns that state a part of a tile, which can be a target or a positioner."""
 HARMLESS = ("timestamp", "version", "program", "archivedate")
@@ -88,7 +93,7 @@ def check_others(table: Table, roles: dict[str, str], id_name: str | None) -> No
     """
     unused = [name for name in table.colnames if name not in roles.values() and name.lower() not in HARMLESS]
     parts = [name for name in unused if name == id_name or name.lower().replace("_", "") in PARTS]
-    if parts and not {"target", "positioner"} & {*roles}:
+    if parts and not {*VISITS} & {*roles}:
         raise InputError(
             f"a table of visits must have a column target or positioner, got the column {parts[0]!r}; state what it "
             f"is, for example columns={{'target': {parts[0]!r}}} (or --column target={parts[0]}), or omit this column "
@@ -103,11 +108,12 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
     n = len(table)
     return {
         "state": _states(table, roles),
-        "good": _goods(table, roles),
+        "good": _flags(table, roles, "good"),
+        "replaces": _flags(table, roles, "replaces"),
         "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": _texts(table, roles.get("reason")) or [""] * n,
-        **{role: _texts(table, roles.get(role)) for role in ("positioner", "target", "plan")},
+        **{role: _texts(table, roles.get(role)) for role in (*VISITS, "plan")},
     }
 
 
@@ -132,11 +138,11 @@ def _states(table: Table, roles: dict) -> list[str] | None:
     return [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words]
 
 
-def _goods(table: Table, roles: dict) -> list[bool | None] | None:
-    """Return whether each row is good; None for missing values."""
-    if "good" not in roles:
+def _flags(table: Table, roles: dict, role: str) -> list[bool | None] | None:
+    """Return the values of a column of truth values, such as good; None for missing values."""
+    if role not in roles:
         return None
-    codes = flag_codes(table[roles["good"]], roles["good"]).tolist()
+    codes = flag_codes(table[roles[role]], roles[role]).tolist()
     return [None if code < 0 else code == 1 for code in codes]
 
 

@@ -1,22 +1,24 @@
 """The events of a survey: what was observed, and which tiles and targets were added, dropped or changed.
 
-Each call of ``Survey.record`` appends one file. A file contains a digest of its own content and the digest of the
-preceding file, so that missing, changed and truncated files are found. Files are never changed.
+Each call of ``Survey.record`` or ``Survey.undo`` appends one file. A file contains what the table stated, a digest of
+its own content, and the digest of the preceding file, so that missing, changed and truncated files are found. Files are
+never changed; `TileStates` joins the statements on an observation.
 """
 
+import csv
 import hashlib
 import json
 import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cached_property
+from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable, vstack
-from astropy.time import Time
+from astropy.table import QTable, Table, vstack
 
 from rfpsurvey import _io
 from rfpsurvey._readers import content_of, is_present, read_fits_bytes, sentence
@@ -33,9 +35,11 @@ from rfpsurvey.survey._folder import (
 )
 from rfpsurvey.tiling import Tiling
 
-VERSION = 1
+VERSION = 2
 FRAME = '{{"digest": "{}", "events":\n{}\n}}\n'
 """Text of a file of events with its digest and its content, which are JSON in all."""
+KINDS = ("targets", "rows")
+"""Kinds of tables that belong to a file of events."""
 FRAMED = re.compile(r'\{"digest": "([0-9a-f]{64})", "events":\n(.*)\n\}\n', re.DOTALL)
 
 
@@ -56,7 +60,7 @@ WORDS |= {name: name for name in (TileState.DROPPED, TileState.PLANNED)}
 
 
 class TileEvent(NamedTuple):
-    """What was recorded for a tile."""
+    """What a table states about a tile."""
 
     row: int
     """Row of the tile in the tiling; added tiles follow the tiles of the first plan."""
@@ -75,23 +79,30 @@ class TileEvent(NamedTuple):
     """Right ascension, declination and position angle (deg) and the pass of an added tile."""
     has_state: bool = True
     """Whether the table states the state and the fraction; otherwise, they are those of an earlier record."""
-    stated: dict | None = None
-    """Positioners that failed according to the table alone, without earlier records; None if these are ``failed``."""
     good: tuple = ()
     """Positioners that were successful according to the table."""
+    replaces: bool = False
+    """Whether the failed visits of earlier records of the same observation are discarded."""
 
     @property
     def observation(self) -> tuple:
         """The key of an observation: an event with the same key corrects the earlier event."""
         return self.row, self.date, self.plan
 
+    def after(self, earlier: "TileEvent | None") -> "TileEvent":
+        """Return this event joined with an earlier event of the same observation."""
+        if earlier is None:
+            return self
+        state, fraction = (self if self.has_state else earlier)[2:5:2]
+        kept = {} if self.replaces else {k: reason for k, reason in earlier.failed.items() if k not in self.good}
+        return self._replace(state=state, fraction=fraction, failed=dict(sorted((kept | self.failed).items())))
+
     def includes(self, other: "TileEvent") -> bool:
         """Return whether the table of this event states everything that the table of another event states."""
         if (self.row, self.date, self.place) != (other.row, other.date, other.place):
             return False
-        own, its = ((one.state, one.fraction) if one.has_state else () for one in (self, other))
-        failed, its_failed = (one.failed if one.stated is None else one.stated for one in (self, other))
-        return its in ((), own) and its_failed.items() <= failed.items() and {*other.good} <= {*self.good}
+        own, its = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
+        return its in ((), own) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
 
 
 @dataclass(frozen=True)
@@ -109,6 +120,17 @@ class EventFile:
     digest: str
     previous: str
     """Digest of the preceding file."""
+    told: dict
+    """The name of the table, the time of recording (UTC), the user and the note, as text."""
+    rows: str | None = None
+    """Name of the file with the rows of a table of observations as the table stated them."""
+    undoes: int | None = None
+    """Number of the file that this file undoes."""
+
+    @property
+    def others(self) -> list[str]:
+        """Names of the tables that belong to this file."""
+        return [name for name in (self.targets, self.rows) if name]
 
 
 @dataclass(frozen=True)
@@ -131,12 +153,36 @@ class Events:
         """A digest of all events; empty text if there are none."""
         return self.files[-1].digest if self.files else ""
 
+    @cached_property
+    def undone(self) -> dict[int, int]:
+        """The files that were undone, with the file that undoes each of them; files are numbered from 1."""
+        undone = {}
+        for number in range(len(self.files), 0, -1):  # an undo that was undone later has no effect
+            if self.files[number - 1].undoes and number not in undone:
+                undone.setdefault(self.files[number - 1].undoes, number)
+        return undone
+
+    def of_file(self, number: int) -> Iterable[TileEvent]:
+        """Yield the events of tiles in a file; if the file was undone, the tiles that it added are dropped."""
+        file = self.files[number - 1]
+        if number not in self.undone:
+            yield from file.tiles
+            return
+        for event in file.tiles:
+            if event.place and event.row >= file.n_tiles:  # later tiles keep their rows
+                yield from (event, TileEvent(event.row, event.tile, TileState.DROPPED, "", 0.0))
+
     def of_tiles(self, until: str | None = None) -> Iterable[TileEvent]:
-        """Yield the events of tiles up to a date."""
-        for file in self.files:
-            for event in file.tiles:
+        """Yield the events of tiles up to a date, without those that were undone."""
+        for number in range(1, len(self.files) + 1):
+            for event in self.of_file(number):
                 if until is None or event.date <= until:
                     yield event
+
+    @property
+    def plans(self) -> dict[tuple[int, str], None]:
+        """The rows of tiles and the plans with which they were observed, also according to files that were undone."""
+        return dict.fromkeys((event.row, event.plan) for file in self.files for event in file.tiles if event.plan)
 
     def first(self, n: int) -> "Events":
         """Return the events of the first n files."""
@@ -148,13 +194,27 @@ class Events:
 
     @cached_property
     def target_tables(self) -> list[tuple[int, QTable]]:
-        """Tables of added and changed targets, each with the row of the first target that it adds."""
-        return [(one.n_targets, self.read_targets(one.targets)) for one in self.files if one.targets]
+        """Tables of added and changed targets, each with the row of the first target that it adds.
+
+        Of a table that was undone, only the added targets remain, and are dropped, so that later ones keep their rows.
+        """
+        tables = []
+        for number, file in enumerate(self.files, 1):
+            table = self.read_targets(file.targets) if file.targets else QTable()
+            if number in self.undone and len(table):
+                table = table[table["target_row"] >= file.n_targets]
+                table["dropped"] = np.ones(len(table), dtype=np.int16)
+            if len(table):
+                tables.append((file.n_targets, table))
+        return tables
 
     def read_targets(self, name: str) -> QTable:
         """Return a table of added and changed targets, or raise an error if its file is missing or damaged."""
-        path = self.folder / EVENTS / name
-        return QTable(read_fits_bytes(read_named(path, name.partition("-")[2].removesuffix(".fits")), path)[0])
+        return QTable(read_fits_bytes(self.read_other(name), self.folder / EVENTS / name)[0])
+
+    def read_other(self, name: str) -> bytes:
+        """Return the content of a table in the folder of events, or raise an error if it is missing or damaged."""
+        return read_named(self.folder / EVENTS / name, name.partition("-")[2].partition(".")[0])
 
     def plan(self, row: int, digest: str) -> bytes:
         """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
@@ -172,27 +232,27 @@ class Events:
         """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
         return parse_visits(self.plan(event.row, event.plan), f"the plan of tile {event.tile}", event.tile)
 
-    def append(self, tiles: list[TileEvent], targets: QTable | None, **numbers: int) -> None:
-        """Write a file with events; ``numbers`` are the numbers in `EventFile`."""
-        number, name = len(self.files) + 1, None
+    def append(
+        self, tiles: list[TileEvent], targets: QTable | None, rows: Table | None, undoes: int | None = None, **about
+    ) -> None:
+        """Write a file with events; ``about`` are the numbers in `EventFile`, and ``told``."""
+        number, names = len(self.files) + 1, {}
         with _io.written(self.folder / EVENTS):
             (self.folder / EVENTS).mkdir(exist_ok=True)
+        contents = {}
         if targets is not None:
-            rows, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
-            content = _io.fits_bytes({column: rows[column] for column in targets.colnames}, {}, fixed)
-            name = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.fits"
-            _io.write_bytes(self.folder / EVENTS / name, content, sync=True)
-        about = {
-            "version": VERSION,
-            "previous": self.digest,
-            **numbers,
-            "targets": name,
-            "tiles": [
-                event._asdict() | {name: _by_reason(getattr(event, name)) for name in ("failed", "stated")}
-                for event in tiles
-            ],
-        }
-        body = json.dumps(about, separators=(",", ":"), sort_keys=True)
+            columns, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
+            contents["targets"] = "fits", _io.fits_bytes({k: columns[k] for k in targets.colnames}, {}, fixed)
+        elif rows is not None:
+            lines = StringIO()
+            csv.writer(lines, lineterminator="\n").writerows([rows.colnames, *rows.iterrows()])
+            contents["rows"] = "csv", lines.getvalue().encode()
+        for kind, (ending, content) in contents.items():
+            names[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
+            _io.write_bytes(self.folder / EVENTS / names[kind], content, sync=True)
+        events = [event._asdict() | {"failed": _by_reason(event.failed)} for event in tiles]
+        about |= {"version": VERSION, "previous": self.digest, "undoes": undoes, "tiles": events}
+        body = json.dumps(about | {kind: names.get(kind) for kind in KINDS}, separators=(",", ":"), sort_keys=True)
         _io.write_bytes(self.folder / _name(number), FRAME.format(_digest(body), body).encode(), sync=True)
 
 
@@ -208,7 +268,7 @@ def read_events(folder: Path, known: Events | None = None) -> Events:
     for number, name in enumerate(found, 1):
         if name != Path(_name(number)).name:
             raise InputError(f"{folder / _name(number)} is missing, but {name} exists")
-        file = _read(path / name, parsed)
+        file = _read(path / name, number, parsed)
         if file.previous != previous:
             raise InputError(f"{path / name} must follow the events before it, got a file for other events")
         files.append(file)
@@ -225,7 +285,7 @@ def read_events(folder: Path, known: Events | None = None) -> Events:
     return Events(folder, tuple(files))
 
 
-def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
+def _read(path: Path, number: int, parsed: dict[str, EventFile]) -> EventFile:
     """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
     try:
         found = FRAMED.fullmatch(content_of(path, most=MOST_FILE).decode("utf-8", "replace"))
@@ -234,46 +294,50 @@ def _read(path: Path, parsed: dict[str, EventFile]) -> EventFile:
         if found[1] in parsed:
             return parsed[found[1]]
         about = json.loads(found[2])
-        if about["version"] != VERSION:
+        if about["version"] not in (1, VERSION):
             raise InputError(f"version {about['version']} of the format is not supported")
-        tiles = tuple(
-            TileEvent(**one | {"place": tuple(one["place"])})._replace(
-                failed=_by_name(one["failed"]), stated=_by_name(one.get("stated"))
-            )
-            for one in about["tiles"]
-        )
+        events = [
+            event | {"place": tuple(event["place"]), "failed": _by_name(_stated(event))} for event in about["tiles"]
+        ]
+        tiles = tuple(TileEvent(**event) for event in events)
         if not all(map(_is_valid, tiles)):
             raise InputError("its events have other types")
         numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
-        file = EventFile(*numbers, tiles, about["targets"], found[1], about["previous"])
-        if file.targets and not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.fits", file.targets):
-            raise InputError(f"{file.targets!r} is not the name of a table of targets")
+        told, undoes, rows = about.get("told", {}), about.get("undoes"), about.get("rows")
+        if not (isinstance(told, dict) and isinstance(undoes, int | None) and 0 < (undoes or 1) < max(number, 2)):
+            raise InputError("its entries have other types")
+        file = EventFile(*numbers, tiles, about["targets"], found[1], about["previous"], told, rows, undoes)
+        for name in file.others:
+            if not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.(fits|csv)", name):
+                raise InputError(f"{name!r} is not the name of a table")
     except (InputError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
         raise InputError(f"{path} is damaged ({sentence(error)})") from None
     return file
 
 
+def _stated(event: dict) -> dict[str, list[str]]:
+    """Return the failed positioners that a table stated; files of version 1 also contain those of earlier records."""
+    stated = event.pop("stated", None)
+    return event["failed"] if stated is None else stated
+
+
 def _is_valid(event: TileEvent) -> bool:
     """Return whether the values of an event have their types."""
-    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, dict | None, list | tuple)
+    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool)
     is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
     return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
 
 
-def _by_reason(failed: dict[str, str] | None) -> dict[str, list[str]] | None:
+def _by_reason(failed: dict[str, str]) -> dict[str, list[str]]:
     """Return the positioners that failed for each reason."""
-    if failed is None:
-        return None
     found: dict[str, list[str]] = {}
     for name, reason in failed.items():
         found.setdefault(reason, []).append(name)
     return found
 
 
-def _by_name(failed: dict[str, list[str]] | None) -> dict[str, str] | None:
+def _by_name(failed: dict[str, list[str]]) -> dict[str, str]:
     """Return the reason for each positioner that failed."""
-    if failed is None:
-        return None
     return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
 
 
@@ -283,33 +347,6 @@ def _name(number: int) -> str:
 
 def _digest(text: str) -> str:
     return hashlib.sha256(text.encode()).hexdigest()
-
-
-def to_date(value: object) -> str:
-    """Return a date as text such as 2026-01-03; empty text for missing dates."""
-    if value is None or value is np.ma.masked or (isinstance(value, int | np.integer) and value == 0):
-        return ""
-    if isinstance(value, bytes):
-        value = value.decode("utf-8", "replace")
-    if isinstance(value, float | np.floating) and value == np.floor(value):
-        value = int(value)
-    if np.shape(value) == (2,):  # Julian date in two parts, in FITS tables of astropy
-        value = Time(*np.asarray(value, dtype=float), format="jd", scale="utc")
-    if isinstance(value, Time):
-        return value.utc.isot[:10]
-    return _date_of(str(value).strip().removesuffix("Z"))
-
-
-@cache
-def _date_of(text: str) -> str:
-    if text in ("", "nan", "NaT"):
-        return ""
-    if re.fullmatch(r"\d{8}", text):
-        text = f"{text[:4]}-{text[4:6]}-{text[6:]}"
-    try:
-        return Time(text, scale="tai").isot[:10]  # without warnings of future leap seconds
-    except ValueError:
-        raise InputError(f"date must be a date such as 2026-01-03, got {text!r}") from None
 
 
 def places_of(tiles: QTable) -> np.ndarray:

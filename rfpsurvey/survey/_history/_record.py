@@ -4,7 +4,11 @@ Files of SDSS-V that state which fibers were on target are converted to tables o
 """
 
 import os
-from numbers import Number
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import UTC
+from getpass import getuser
+from numbers import Integral, Number
 from pathlib import Path
 
 import numpy as np
@@ -12,13 +16,17 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey import _io
+from rfpsurvey._descriptions import Column, describe
 from rfpsurvey._folder import LOCK, locked, read_index, remove_temporary
+from rfpsurvey._methods import table_of
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
 from rfpsurvey.plans import native_format, read_plan
-from rfpsurvey.survey._folder import EVENTS, TABLES, read_request
+from rfpsurvey.survey._folder import EVENTS, TABLES, clock, read_request
 from rfpsurvey.survey._history._columns import check_others, columns_of_catalog, renamed, roles_of
-from rfpsurvey.survey._history._events import TileEvent, TileState, add_tiles, read_events
+from rfpsurvey.survey._history._dates import check_not_future
+from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles, read_events
+from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import DROPPED, IS_ADDED, target_changes
 from rfpsurvey.survey._history._tile_events import History, tile_events
 from rfpsurvey.survey._survey import Survey
@@ -26,6 +34,20 @@ from rfpsurvey.tiling import Tiling
 
 RESULTS = ("state", "good", "date", "fraction", "positioner", "target")
 """Roles of columns of which a table of observations has at least one; other tables can be lists of tiles."""
+RECORDS = table_of(
+    Column("number", "number of the record"),
+    Column("time", "time of recording (UTC)"),
+    Column("user", "user who recorded the table"),
+    Column("table", "name of the table"),
+    Column("note", "note of the user"),
+    Column("dates", "first and last date of the rows"),
+    Column("n_tiles", "number of tiles"),
+    Column("n_failed", "number of failed visits"),
+    Column("n_targets", "number of changed targets"),
+    Column("undoes", "number of the record that this record undoes, or 0"),
+    Column("undone_by", "number of the record that undid this record, or 0"),
+    Column("rows", "file in the folder of events with the rows of the table"),
+)
 CHANGES = {
     TileState.DONE: "tiles observed",
     TileState.PARTLY: "tiles partly observed",
@@ -36,16 +58,25 @@ CHANGES = {
 }
 
 
-def record(survey, table: object, *, enough: float, tile: object, columns: dict | None, dry_run: bool) -> dict:
-    """Append events to the folder of a survey; see `Survey.record`."""
+def record(
+    survey,
+    table: object,
+    *,
+    enough: float,
+    tile: object,
+    columns: dict | None,
+    note: str,
+    replaces: bool,
+    allow_future: bool,
+    dry_run: bool,
+    groups: Callable[[str], dict[str, str]],
+) -> dict:
+    """Append events to the folder of a survey; see `Survey.record`, and `History` for ``groups``."""
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
-    check_switch(dry_run, "dry_run")
-    if survey.folder is None:
-        raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
-    if "cadences" in survey.provenance["parameters"]:
-        raise InputError("what was observed must be recorded in a survey without cadences, got one with cadences")
-    folder = Path(survey.folder)
+    for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
+        check_switch(value, name)
+    folder, name = _folder_of(survey), str(table) if isinstance(table, str | os.PathLike) else ""
     if _is_configuration(table):
         table = _visits_of_configuration(table, survey, tile)
     else:
@@ -65,32 +96,127 @@ def record(survey, table: object, *, enough: float, tile: object, columns: dict 
             "record that tiles are finished, add a column state with the value done"
         )
     with locked(folder, folder / LOCK):
-        events = read_events(folder)
-        if not dry_run:
-            remove_temporary(folder / EVENTS)
-            for path in {*(folder / EVENTS).glob("*.fits")} - {
-                folder / EVENTS / str(one.targets) for one in events.files
-            }:
-                path.unlink()  # a process was killed before it wrote the file of events
+        events = _events_to_extend(folder, dry_run=dry_run)
         survey = _present_survey(survey, folder)
-        history = History(survey, folder, events)
+        history = History(survey, folder, events, groups)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         if tile is None and "tile" not in roles:
             table = renamed(table, named)
             changes, n_known = target_changes(table, events, survey)
         else:
             dropped = {*history.states.dropped}
-            tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile)
+            tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces)
             states = history.states
             if any(event.state == TileState.ADDED for event in tiles) or (states.added and dropped - {*states.dropped}):
                 names = ["tile", "ra", "dec", "position_angle", "pass"]
                 first = Tiling(QTable({**survey.tiles[names], "state": np.full(len(survey.tiles), TileState.DROPPED)}))
                 add_tiles(first, states.added, states.dropped)  # checks all positions
+        dates = [event.date for event in tiles] if changes is None else changes["date"].tolist()
+        if not allow_future:
+            check_not_future(dates)
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
-            events.append(tiles, changes, n_applied=history.n_applied, **numbers)
+            events.append(tiles, changes, table, n_applied=history.n_applied, told=_told(name, note), **numbers)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
+
+
+def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
+    """Append a file that undoes a file of events; see `Survey.undo`."""
+    check_switch(dry_run, "dry_run")
+    folder = _folder_of(survey)
+    with locked(folder, folder / LOCK):
+        events = _events_to_extend(folder, dry_run=dry_run)
+        n = len(events.files)
+        if isinstance(number, bool) or not isinstance(number, Integral) or not 0 < number <= n:
+            raise refusal(f"the number of the record to undo must be a whole number from 1 to {n}", number, Integral)
+        if number in events.undone:
+            raise InputError(
+                f"record {number} must not be undone twice, got a record that record {events.undone[number]} undid; to "
+                f"restore it, undo record {events.undone[number]}"
+            )
+        history, told = History(_present_survey(survey, folder), folder, events, dict), _told("", note)
+        file, undoes = events.files[number - 1], int(number)
+        last = replace(file, tiles=(), targets=None, undoes=undoes)
+        _check_undo(replace(events, files=(*events.files, last)), file, undoes)
+        if not dry_run:
+            numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
+            events.append([], None, None, undoes, n_applied=history.n_applied, told=told, **numbers)
+    targets = None if file.targets is None else events.read_targets(file.targets)
+    return {"undone": undoes, "changes": _changes(list(file.tiles), targets)}
+
+
+def _check_undo(events: Events, file: EventFile, undone: int) -> None:
+    """Raise an error if later records depend on a file that was undone; ``events`` are the events afterward."""
+    known: set[tuple] = set()
+    for number in range(1, len(events.files) + 1):
+        for event in events.of_file(number):
+            if event.state == TileState.PLANNED:
+                known = {key for key in known if key[0] != event.row}
+            elif not event.has_state and event.observation not in known:
+                raise InputError(
+                    f"record {number} must be undone before record {undone}, because it changes visits of tile "
+                    f"{event.tile}, whose observation record {undone} states"
+                )
+            known.add(event.observation)
+    states = TileStates(events.of_tiles())
+    moved = {event.row for event in file.tiles if event.place and event.row < file.n_tiles}
+    for row in states.rows():
+        done = [event for event in states.of(row) if event.state == TileState.DONE]
+        if len(done) > 1 or (row in moved and states.of(row)):
+            raise InputError(
+                f"later records of tile {states.of(row)[0].tile} must be undone before record {undone}, because the "
+                f"tile {'would be observed twice' if len(done) > 1 else 'was observed at its new position'}"
+            )
+
+
+def _folder_of(survey) -> Path:
+    """Return the folder of a survey in which events can be recorded."""
+    if survey.folder is None:
+        raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
+    if "cadences" in survey.provenance["parameters"]:
+        raise InputError("what was observed must be recorded in a survey without cadences, got one with cadences")
+    return Path(survey.folder)
+
+
+def _events_to_extend(folder: Path, *, dry_run: bool) -> Events:
+    """Return the events in a locked folder; unless nothing will be written, remove what a killed process left."""
+    events = read_events(folder)
+    if not dry_run:
+        remove_temporary(folder / EVENTS)
+        used = {name for file in events.files for name in file.others}
+        for path in (folder / EVENTS).glob("*-*.*"):
+            if path.name not in used:
+                path.unlink()  # a process was killed before it wrote the file of events
+    return events
+
+
+def _told(name: str, note: str) -> dict[str, str]:
+    """Return the name of the table, the time of recording, the user and the note."""
+    if not isinstance(note, str):
+        raise refusal("note must be text", note)
+    try:
+        user = getuser()
+    except (KeyError, OSError, ImportError):  # no name is known
+        user = ""
+    return {"table": name, "time": clock().astimezone(UTC).isoformat(timespec="seconds"), "user": user, "note": note}
+
+
+def events_table(survey) -> QTable:
+    """Return a table of all records of a survey; see `Survey.events`."""
+    events = read_events(_folder_of(survey))
+    rows = []
+    for number, file in enumerate(events.files, 1):
+        targets = QTable() if file.targets is None else events.read_targets(file.targets)
+        stated = [event.date for event in file.tiles] + (targets["date"].tolist() if len(targets) else [])
+        first, last = (choose(filter(None, stated), default="") for choose in (min, max))
+        told = [file.told.get(name, "") for name in ("time", "user", "table", "note")]
+        dates = first if first == last else f"{first} to {last}"
+        counts = len({event.row for event in file.tiles}), sum(len(event.failed) for event in file.tiles), len(targets)
+        undo = file.undoes or 0, events.undone.get(number, 0)
+        rows.append((number, *told, dates, *counts, *undo, next(iter(file.others), "")))
+    table = QTable(rows=rows, names=list(RECORDS)) if rows else QTable({name: [] for name in RECORDS})
+    return describe(table, RECORDS)
 
 
 def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[str]]:
@@ -98,9 +224,8 @@ def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[s
     found: dict[str, list[str]] = {}
     for event in tiles:
         found.setdefault(CHANGES[event.state], []).append(event.tile)
-        failed = event.failed if event.stated is None else event.stated
-        if failed:
-            found.setdefault("failed visits", []).extend(f"{event.tile}/{name}" for name in failed)
+        if event.failed:
+            found.setdefault("failed visits", []).extend(f"{event.tile}/{name}" for name in event.failed)
     for row in () if targets is None else targets:
         state = {1: "dropped", IS_ADDED: "added"}.get(int(row[DROPPED]), "changed")
         found.setdefault(f"targets {state}", []).append(str(row["target_id"]))

@@ -63,7 +63,7 @@ class TileStates:
             self.add(event)
 
     def add(self, event: TileEvent) -> None:
-        """Add an event, which replaces an earlier event of the same observation.
+        """Add an event, which is joined with an earlier event of the same observation.
 
         A dropped tile remains dropped after a report on an earlier observation, or on an observation until this date.
         """
@@ -80,7 +80,8 @@ class TileStates:
             for key in self._attempts.pop(event.row, ()):
                 del self._order[key]
         else:
-            self._attempts.setdefault(event.row, {})[event.observation] = event
+            observations = self._attempts.setdefault(event.row, {})
+            observations[event.observation] = event.after(observations.get(event.observation))
             self._latest = max(self._latest, event.date)
             self._order.setdefault(event.observation, event.date or self._latest)
 

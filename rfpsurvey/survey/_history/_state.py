@@ -22,13 +22,13 @@ from rfpsurvey.survey._history._catalogs import (
     is_same,
     is_science,
 )
+from rfpsurvey.survey._history._dates import to_date
 from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
     TileState,
     add_tiles,
     read_events,
-    to_date,
 )
 from rfpsurvey.survey._history._replay import Replay, TileStates, last_results, replay, state_table
 from rfpsurvey.survey._history._rule import VisitRule
@@ -211,8 +211,8 @@ class SurveyState:
             Dict from the row of each tile to the number of files.
         """
         made: dict[tuple, int] = {}
-        for file in self.events.files:
-            for event in file.tiles:
+        for number, file in enumerate(self.events.files, 1):
+            for event in self.events.of_file(number):
                 made.setdefault(event.observation, file.n_applied)
         found = {}
         for row, event in self.kept.items():  # a tile keeps the plan with which its observation began

@@ -15,7 +15,8 @@ from rfpsurvey._units import to_flags, to_labels, to_plain, to_vectors, to_visit
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, listed, number_of, warn
 from rfpsurvey.pipeline import PLANNED_COLUMNS
-from rfpsurvey.survey._history._events import Events, to_date
+from rfpsurvey.survey._history._dates import to_date
+from rfpsurvey.survey._history._events import Events
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"
 IS_ADDED = 2

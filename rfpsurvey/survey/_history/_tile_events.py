@@ -1,6 +1,7 @@
 """Convert a table of observations, or of changes to tiles, to events."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_labels
 from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
 from rfpsurvey.survey._folder import part_name, plan_dates, read_request
-from rfpsurvey.survey._history._columns import columns_of, groups_of
+from rfpsurvey.survey._history._columns import VISITS, columns_of, groups_of
 from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import to_numbers
@@ -26,8 +27,10 @@ MOST_FRACTION = 10
 class History:
     """What is known about the tiles of a survey before a table is recorded."""
 
-    def __init__(self, survey, folder: Path, events: Events):
+    def __init__(self, survey, folder: Path, events: Events, groups: Callable[[str], dict[str, str]]):
         self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
+        self.groups = groups
+        """Function of the name of a column that returns the group of each positioner, such as its petal, as text."""
         self._names, self._places = np.asarray(survey.tiles["tile"]).astype(str).tolist(), places_of(survey.tiles)
         self.row_of = {name: row for row, name in enumerate(self._names)}
         for row, event in self.states.added.items():
@@ -42,7 +45,7 @@ class History:
         planned = {one.observation for one in applied.of_tiles()}
         dates = [one.date for one in self.states.attempts if one.observation in planned]
         self.planned_until = max(dates, default="")
-        self.used_plans = {(one.row, one.plan) for one in events.of_tiles()}
+        self.used_plans = {*events.plans}
         self.past: dict[int, list[TileEvent]] = {}
         """The events of each tile since the last one that canceled its events."""
         for event in events.of_tiles():
@@ -97,7 +100,7 @@ class History:
 
 
 def tile_events(
-    table: Table, roles: dict, history: History, enough: float, tile: object
+    table: Table, roles: dict, history: History, enough: float, tile: object, *, replaces: bool = False
 ) -> tuple[list[TileEvent], int, int]:
     """Return the new events of tiles, and the numbers of known events and of tiles without an observation."""
     n = len(table)
@@ -106,7 +109,7 @@ def tile_events(
     )
     columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
-    is_visit = [any(columns[one] and columns[one][k] for one in ("positioner", "target")) for k in range(n)]
+    is_visit = [any(columns[role] and columns[role][k] for role in VISITS) for k in range(n)]
     has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
     groups = groups_of(names.tolist(), columns["date"])
     place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
@@ -137,8 +140,9 @@ def tile_events(
         event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
         if state in (TileState.DONE, TileState.PARTLY, TileState.BAD):
             is_repeated = any(one.date == date for one in history.of(name))
-            event = event._replace(has_state=bool(whole) or not is_repeated)
-            event = _with_failures(columns, [k for k in rows if k not in whole], event, history)
+            discards = replaces or any(columns["replaces"] and columns["replaces"][k] for k in rows)
+            event = event._replace(has_state=bool(whole) or not is_repeated, replaces=discards)
+            event = _with_failures(columns, [k for k in rows if k not in whole], event, history, roles)
         if _is_known(event, history):
             n_known += 1
             continue
@@ -294,13 +298,15 @@ def _is_known(event: TileEvent, history: History) -> bool:
     nothing, but states something new, is kept, so that it does not undo a later correction if it is recorded again.
     """
     states, is_dropped, before = history.states, event.row in history.states.dropped, history.earlier(event)
-    is_same = before is not None and before[:7] == event[:7]
+    is_same = before is not None and before[:7] == event.after(before)[:7]
     if event.state == TileState.ADDED:
         is_planned = event.row < history.n_tiles_before and not is_dropped
         is_same = is_planned and np.array_equal(history.place(event.row), event.place)
     elif event.state in (TileState.DROPPED, TileState.PLANNED):
         is_same = is_dropped if event.state == TileState.DROPPED else not is_dropped and not states.of(event.row)
     if not event.date and (is_same or event.state in (TileState.DROPPED, TileState.PLANNED)) and before is None:
+        return is_same
+    if event.replaces:
         return is_same
     known = any(one.includes(event) for one in history.past.get(event.row, ()))
     if known and not is_same:
@@ -311,36 +317,47 @@ def _is_known(event: TileEvent, history: History) -> bool:
     return known
 
 
-def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: History) -> TileEvent:
-    """Return the event with the positioners that failed according to the table, and those recorded before."""
-    failed, stated, good = dict((history.earlier(event) or event).failed), {}, set()
+def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: History, roles: dict) -> TileEvent:
+    """Return the event with the positioners that failed, and those that were successful, according to the table."""
     if not rows:
-        return event._replace(failed=failed, stated=stated if failed else None)
-    visits = history.events.visits(event)[0]
+        return event
+    failed, good, visits = {}, set(), history.events.visits(event)[0]
     ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
     ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
-    positioner_of = {what: dict(zip(names, ids["positioner"], strict=True)) for what, names in ids.items()}
+    positioners_of = {what: _grouped(names, ids["positioner"]) for what, names in ids.items()}
+    if columns["spectrograph"]:
+        group_of = history.groups(roles["spectrograph"])
+        names = [group_of[name] for name in ids["positioner"]]
+        positioners_of["spectrograph"] = dict.fromkeys(group_of.values(), ()) | _grouped(names, ids["positioner"])
     pairs = {*zip(ids["positioner"], ids["target"], strict=True)}
     for k in rows:
-        what = "positioner" if columns["positioner"] and columns["positioner"][k] else "target"
+        what = next(role for role in VISITS if columns[role] and columns[role][k])
         name = columns[what][k]
-        if name not in positioner_of[what]:
-            raise InputError(f"{what} must be a {what} of tile {event.tile} with a visit, got {name!r}")
-        if what == "target" and ids["target"].count(name) > 1:
+        if name not in positioners_of[what]:
+            is_group = what == "spectrograph"
+            among = f"a {roles[what]} of the instrument" if is_group else f"a {what} of tile {event.tile} with a visit"
+            raise InputError(f"{what} must be {among}, got {name!r}")
+        if what == "target" and len(positioners_of[what][name]) > 1:
             raise InputError(
                 f"positioner must be given for target {name} of tile {event.tile}, because "
-                f"{ids['target'].count(name)} targets of this tile have this identifier, got only the target"
+                f"{len(positioners_of[what][name])} targets of this tile have this identifier, got only the target"
             )
         other = columns["target"][k] if what == "positioner" and columns["target"] else ""
         if other and (name, other) not in pairs:
             raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
         if columns["good"] is None or not columns["good"][k]:
-            stated[positioner_of[what][name]] = columns["reason"][k]
+            failed |= dict.fromkeys(positioners_of[what][name], columns["reason"][k])
         else:
-            good.add(positioner_of[what][name])
-    failed = {one: reason for one, reason in failed.items() if one not in good} | stated
-    failed, stated = (dict(sorted(one.items())) for one in (failed, stated))
-    return event._replace(failed=failed, stated=None if stated == failed else stated, good=tuple(sorted(good)))
+            good.update(positioners_of[what][name])
+    return event._replace(failed=dict(sorted(failed.items())), good=tuple(sorted(good)))
+
+
+def _grouped(names: list[str], positioners: list[str]) -> dict[str, list[str]]:
+    """Return the positioners with each name."""
+    groups: dict[str, list[str]] = {}
+    for name, positioner in zip(names, positioners, strict=True):
+        groups.setdefault(name, []).append(positioner)
+    return groups
 
 
 def _on(date: str) -> str:

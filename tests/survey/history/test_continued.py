@@ -181,7 +181,7 @@ def test_an_observation_is_later_than_the_events_of_its_plan(case, survey):
 
 def test_a_wrong_date_is_corrected(case, survey):
     """Regression: after a date in the far future, no later observation could be recorded, even if it was canceled."""
-    survey.record(events(tile=[11, 12], date=["2062-01-03", "2026-01-04"]))
+    survey.record(events(tile=[11, 12], date=["2062-01-03", "2026-01-04"]), allow_future=True)
     replan(case, survey)
     with pytest.raises(rs.InputError, match="must be later than 2062-01-03"):
         survey.record(events(tile=13, date="2026-01-05"))

@@ -44,7 +44,7 @@ TILES = [
     (events(tile=11, state="fine"), "unknown state of a tile 'fine'"),
     (events(tile=11, date="yesterday"), "date must be a date such as 2026-01-03, got 'yesterday'"),
     (events(tile=11, date="2026-13-03"), "date must be a date such as 2026-01-03, got '2026-13-03'"),
-    (events(tile=11, date=61043.0), "date must be a date such as 2026-01-03, got '61043'"),
+    (events(tile=11, date=5.0), "date must be a date such as 2026-01-03, got '5'"),
     (events(tile=11, date=True), "date must be a date such as 2026-01-03, got 'True'"),
     (events(tile=11, fraction=-0.1), "fraction must be a number from 0 to 10, where 1 is complete, got -0.1"),
     (events(tile=11, fraction=np.nan), "fraction must be a number from 0 to 10, where 1 is complete, got nan"),
@@ -98,7 +98,7 @@ TILES = [
 ]
 
 
-@pytest.mark.parametrize("name", ["id", "FIBER", "fiber_id", "robotId", "catalogid", "LOCATION", "petal"])
+@pytest.mark.parametrize("name", ["id", "FIBER", "fiber_id", "robotId", "catalogid", "LOCATION"])
 def test_a_column_that_states_a_part_of_a_tile_is_not_ignored(survey, name):
     """A failed visit in a column ``id`` was recorded as a failure of the whole tile."""
     for table, tile in ((events(tile=11, good=0, **{name: 1}), None), (events(good=0, **{name: 1}), 11)):

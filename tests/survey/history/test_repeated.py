@@ -7,17 +7,12 @@ from living import events
 
 import rfpsurvey as rs
 from rfpsurvey.survey._history import _events
+from rfpsurvey.survey._history._replay import TileStates
 
 
-def failed(survey, row=0):
-    """Return the positioners of a tile that failed, according to the last event."""
-    found = [
-        one
-        for path in sorted((survey.folder / "events").glob("*.json"))
-        for one in json.loads(path.read_text())["events"]["tiles"]
-    ]
-    failed = next(one["failed"] for one in reversed(found) if one["row"] == row)
-    return sorted(name for names in failed.values() for name in names)
+def failed(survey):
+    """Return the positioners of a tile that failed, according to all events."""
+    return sorted(TileStates(_events.read_events(survey.folder).of_tiles()).attempts[-1].failed)
 
 
 def test_failures_of_several_tables_add_up(case, survey):
