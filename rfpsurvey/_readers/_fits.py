@@ -293,10 +293,16 @@ def read_plain(content: bytes) -> tuple[np.ndarray, dict] | None:
     begins = 0, 2 * CARD, BLOCK
     if not all(content.startswith(text, at) for text, at in zip(PRIMARY, begins, strict=True)):
         return None
-    cards, end = {}, BLOCK
+    cards, end, name = {}, BLOCK, ""
     while (card := content[end : end + CARD]) and card.rstrip() != b"END":
         if not card.isascii():
             return None
+        if card.startswith(b"CONTINUE  '") and str(before := cards.get(name)).endswith("&"):
+            rest = _value("=" + card[9:].decode())
+            if not isinstance(before, str) or rest is None:
+                return None
+            cards[name], end = before[:-1] + rest, end + CARD
+            continue
         name, value = card[:8].decode().rstrip(), _value(card[8:].decode())
         if value is None or not PLAIN_NAME.fullmatch(name) or OTHERS.fullmatch(name) or name in cards:
             return None

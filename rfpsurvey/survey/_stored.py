@@ -21,7 +21,8 @@ from rfpsurvey.inputs import INPUTS, RECORD
 from rfpsurvey.survey import _folder
 from rfpsurvey.survey._columns import ALSO_SCIENCE, LOST_TO_RULES, N_LOST
 from rfpsurvey.survey._history._catalogs import check_first_catalog
-from rfpsurvey.survey._history._events import Events, TileState, read_events
+from rfpsurvey.survey._history._event_files import COPY, read_events
+from rfpsurvey.survey._history._events import Events, TileState
 from rfpsurvey.survey._history._replay import CHECKPOINT, TileStates, checkpoint_of, replay_of_plan
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._plan_file import check_inputs
@@ -192,7 +193,7 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     is_own = "events" not in request or "planned" in request or is_present(folder / _folder.EVENTS)
     chain = events or (check(_folder.EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
     events = chain or Events(folder)
-    own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, RECORD, *known}
+    own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, COPY, RECORD, *known}
     own |= {f"{_folder.EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
     for name in (name for file in events.files for name in file.others):
         own.add(f"{_folder.EVENTS}/{name}")

@@ -12,7 +12,8 @@ from rfpsurvey._folder import check_file
 from rfpsurvey._methods import table_of
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.survey._folder import part_name
-from rfpsurvey.survey._history._events import WORDS, Events, TileState, places_of, read_events
+from rfpsurvey.survey._history._event_files import read_events
+from rfpsurvey.survey._history._events import WORDS, Events, TileState, places_of
 from rfpsurvey.survey._history._replay import Replay, replay_of_plan
 from rfpsurvey.survey._history._targets import DROPPED, ROW
 from rfpsurvey.survey._survey import Survey

@@ -5,42 +5,27 @@ its own content, and the digest of the preceding file, so that missing, changed 
 never changed; `TileStates` joins the statements on an observation.
 """
 
-import csv
-import hashlib
-import json
-import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable, Table, vstack
+from astropy.table import QTable, vstack
 
-from rfpsurvey import _io
-from rfpsurvey._readers import content_of, is_present, read_fits_bytes, sentence
-from rfpsurvey.errors import InputError, number_of
+from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey.errors import InputError
 from rfpsurvey.survey._folder import (
     EVENTS,
-    MOST_FILE,
     kept_name,
     parse_visits,
     part_name,
     read_named,
-    read_request,
     verified,
 )
 from rfpsurvey.tiling import Tiling
-
-VERSION = 2
-FRAME = '{{"digest": "{}", "events":\n{}\n}}\n'
-"""Text of a file of events with its digest and its content, which are JSON in all."""
-KINDS = ("targets", "rows")
-"""Kinds of tables that belong to a file of events."""
-FRAMED = re.compile(r'\{"digest": "([0-9a-f]{64})", "events":\n(.*)\n\}\n', re.DOTALL)
 
 
 class TileState:
@@ -126,6 +111,8 @@ class EventFile:
     """Name of the file with the rows of a table of observations as the table stated them."""
     undoes: int | None = None
     """Number of the file that this file undoes."""
+    body: str = ""
+    """The content of the file."""
 
     @property
     def others(self) -> list[str]:
@@ -199,9 +186,9 @@ class Events:
         Of a table that was undone, only the added targets remain, and are dropped, so that later ones keep their rows.
         """
         tables = []
-        for number, file in enumerate(self.files, 1):
-            table = self.read_targets(file.targets) if file.targets else QTable()
-            if number in self.undone and len(table):
+        for number, file in ((number, file) for number, file in enumerate(self.files, 1) if file.targets):
+            table = self.read_targets(file.targets)
+            if number in self.undone:
                 table = table[table["target_row"] >= file.n_targets]
                 table["dropped"] = np.ones(len(table), dtype=np.int16)
             if len(table):
@@ -231,122 +218,6 @@ class Events:
     def visits(self, event: TileEvent) -> tuple[np.ndarray, dict]:
         """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
         return parse_visits(self.plan(event.row, event.plan), f"the plan of tile {event.tile}", event.tile)
-
-    def append(
-        self, tiles: list[TileEvent], targets: QTable | None, rows: Table | None, undoes: int | None = None, **about
-    ) -> None:
-        """Write a file with events; ``about`` are the numbers in `EventFile`, and ``told``."""
-        number, names = len(self.files) + 1, {}
-        with _io.written(self.folder / EVENTS):
-            (self.folder / EVENTS).mkdir(exist_ok=True)
-        contents = {}
-        if targets is not None:
-            columns, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
-            contents["targets"] = "fits", _io.fits_bytes({k: columns[k] for k in targets.colnames}, {}, fixed)
-        elif rows is not None:
-            lines = StringIO()
-            csv.writer(lines, lineterminator="\n").writerows([rows.colnames, *rows.iterrows()])
-            contents["rows"] = "csv", lines.getvalue().encode()
-        for kind, (ending, content) in contents.items():
-            names[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
-            _io.write_bytes(self.folder / EVENTS / names[kind], content, sync=True)
-        events = [event._asdict() | {"failed": _by_reason(event.failed)} for event in tiles]
-        about |= {"version": VERSION, "previous": self.digest, "undoes": undoes, "tiles": events}
-        body = json.dumps(about | {kind: names.get(kind) for kind in KINDS}, separators=(",", ":"), sort_keys=True)
-        _io.write_bytes(self.folder / _name(number), FRAME.format(_digest(body), body).encode(), sync=True)
-
-
-def read_events(folder: Path, known: Events | None = None) -> Events:
-    """Return the events of a survey, or raise an error if a file is missing or damaged.
-
-    Files whose digests are those of ``known`` are verified, but not parsed again.
-    """
-    parsed = {} if known is None else {file.digest: file for file in known.files}
-    path = folder / EVENTS
-    found = sorted(one.name for one in path.glob("*.json")) if is_present(path) else []
-    files, previous = [], ""
-    for number, name in enumerate(found, 1):
-        if name != Path(_name(number)).name:
-            raise InputError(f"{folder / _name(number)} is missing, but {name} exists")
-        file = _read(path / name, number, parsed)
-        if file.previous != previous:
-            raise InputError(f"{path / name} must follow the events before it, got a file for other events")
-        files.append(file)
-        previous = file.digest
-    planned = read_request(folder).get("events", {"n_files": 0})
-    n = planned["n_files"]
-    if n > len(files):
-        raise InputError(
-            f"{folder / _name(len(files) + 1)} is missing, although {folder} was planned with {number_of(n, 'file')} "
-            "of events; restore it, or use the folder in which the events were recorded"
-        )
-    if n and files[n - 1].digest != planned["digest"]:
-        raise InputError(f"{folder / _name(n)} must be the file with which {folder} was planned, got another file")
-    return Events(folder, tuple(files))
-
-
-def _read(path: Path, number: int, parsed: dict[str, EventFile]) -> EventFile:
-    """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
-    try:
-        found = FRAMED.fullmatch(content_of(path, most=MOST_FILE).decode("utf-8", "replace"))
-        if not found or found[1] != _digest(found[2]):
-            raise InputError("its digest differs from its content")
-        if found[1] in parsed:
-            return parsed[found[1]]
-        about = json.loads(found[2])
-        if about["version"] not in (1, VERSION):
-            raise InputError(f"version {about['version']} of the format is not supported")
-        events = [
-            event | {"place": tuple(event["place"]), "failed": _by_name(_stated(event))} for event in about["tiles"]
-        ]
-        tiles = tuple(TileEvent(**event) for event in events)
-        if not all(map(_is_valid, tiles)):
-            raise InputError("its events have other types")
-        numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
-        told, undoes, rows = about.get("told", {}), about.get("undoes"), about.get("rows")
-        if not (isinstance(told, dict) and isinstance(undoes, int | None) and 0 < (undoes or 1) < max(number, 2)):
-            raise InputError("its entries have other types")
-        file = EventFile(*numbers, tiles, about["targets"], found[1], about["previous"], told, rows, undoes)
-        for name in file.others:
-            if not re.fullmatch(r"\d{6}-[0-9a-f]{64}\.(fits|csv)", name):
-                raise InputError(f"{name!r} is not the name of a table")
-    except (InputError, AttributeError, KeyError, TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{path} is damaged ({sentence(error)})") from None
-    return file
-
-
-def _stated(event: dict) -> dict[str, list[str]]:
-    """Return the failed positioners that a table stated; files of version 1 also contain those of earlier records."""
-    stated = event.pop("stated", None)
-    return event["failed"] if stated is None else stated
-
-
-def _is_valid(event: TileEvent) -> bool:
-    """Return whether the values of an event have their types."""
-    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool)
-    is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
-    return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
-
-
-def _by_reason(failed: dict[str, str]) -> dict[str, list[str]]:
-    """Return the positioners that failed for each reason."""
-    found: dict[str, list[str]] = {}
-    for name, reason in failed.items():
-        found.setdefault(reason, []).append(name)
-    return found
-
-
-def _by_name(failed: dict[str, list[str]]) -> dict[str, str]:
-    """Return the reason for each positioner that failed."""
-    return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
-
-
-def _name(number: int) -> str:
-    return f"{EVENTS}/{number:06d}.json"
-
-
-def _digest(text: str) -> str:
-    return hashlib.sha256(text.encode()).hexdigest()
 
 
 def places_of(tiles: QTable) -> np.ndarray:

@@ -25,7 +25,8 @@ from rfpsurvey.plans import native_format, read_plan
 from rfpsurvey.survey._folder import EVENTS, TABLES, clock, read_request
 from rfpsurvey.survey._history._columns import check_others, columns_of_catalog, renamed, roles_of
 from rfpsurvey.survey._history._dates import check_not_future
-from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles, read_events
+from rfpsurvey.survey._history._event_files import append_events, copied_bodies, read_events, write_copy
+from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import DROPPED, IS_ADDED, target_changes
 from rfpsurvey.survey._history._tile_events import History, tile_events
@@ -117,7 +118,7 @@ def record(
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
-            events.append(tiles, changes, table, n_applied=history.n_applied, told=_told(name, note), **numbers)
+            append_events(events, tiles, changes, table, n_applied=history.n_applied, told=_told(name, note), **numbers)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
 
 
@@ -141,7 +142,7 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
         _check_undo(replace(events, files=(*events.files, last)), file, undoes)
         if not dry_run:
             numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
-            events.append([], None, None, undoes, n_applied=history.n_applied, told=told, **numbers)
+            append_events(events, [], None, None, undoes, n_applied=history.n_applied, told=told, **numbers)
     targets = None if file.targets is None else events.read_targets(file.targets)
     return {"undone": undoes, "changes": _changes(list(file.tiles), targets)}
 
@@ -181,9 +182,12 @@ def _folder_of(survey) -> Path:
 
 def _events_to_extend(folder: Path, *, dry_run: bool) -> Events:
     """Return the events in a locked folder; unless nothing will be written, remove what a killed process left."""
-    events = read_events(folder)
+    bodies = copied_bodies(folder)
+    events = read_events(folder, bodies=bodies)
     if not dry_run:
         remove_temporary(folder / EVENTS)
+        if len(bodies) != len(events.files):
+            write_copy(folder, [file.body for file in events.files])
         used = {name for file in events.files for name in file.others}
         for path in (folder / EVENTS).glob("*-*.*"):
             if path.name not in used:

@@ -23,12 +23,12 @@ from rfpsurvey.survey._history._catalogs import (
     is_science,
 )
 from rfpsurvey.survey._history._dates import to_date
+from rfpsurvey.survey._history._event_files import read_events
 from rfpsurvey.survey._history._events import (
     Events,
     TileEvent,
     TileState,
     add_tiles,
-    read_events,
 )
 from rfpsurvey.survey._history._replay import Replay, TileStates, last_results, replay, state_table
 from rfpsurvey.survey._history._rule import VisitRule

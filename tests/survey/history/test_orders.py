@@ -9,7 +9,7 @@ from living import content, differences, events, instrument, part, targets, tili
 
 import rfpsurvey as rs
 from rfpsurvey.survey import VisitRule
-from rfpsurvey.survey._history._events import read_events
+from rfpsurvey.survey._history._event_files import read_events
 
 
 @pytest.fixture(scope="module")

@@ -6,13 +6,13 @@ import pytest
 from living import events
 
 import rfpsurvey as rs
-from rfpsurvey.survey._history import _events
+from rfpsurvey.survey._history import _event_files
 from rfpsurvey.survey._history._replay import TileStates
 
 
 def failed(survey):
     """Return the positioners of a tile that failed, according to all events."""
-    return sorted(TileStates(_events.read_events(survey.folder).of_tiles()).attempts[-1].failed)
+    return sorted(TileStates(_event_files.read_events(survey.folder).of_tiles()).attempts[-1].failed)
 
 
 def test_failures_of_several_tables_add_up(case, survey):
@@ -84,8 +84,8 @@ def test_thousands_of_failures_are_read(case, survey):
     about = json.loads(path.read_text())["events"]
     about["tiles"][0]["failed"] = {"": [f"{name}-{k}" for k in range(120_000)]}
     body = json.dumps(about, separators=(",", ":"), sort_keys=True)
-    path.write_text(_events.FRAME.format(_events._digest(body), body))
-    assert len(_events.read_events(survey.folder).files[0].tiles[0].failed) == 120_000
+    path.write_text(_event_files.FRAME.format(_event_files._digest(body), body))
+    assert len(_event_files.read_events(survey.folder).files[0].tiles[0].failed) == 120_000
 
 
 @pytest.mark.filterwarnings("ignore:the survey was planned without the option subpriority")
