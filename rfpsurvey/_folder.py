@@ -21,21 +21,23 @@ from rfpsurvey._temporary import remove, temporary
 from rfpsurvey.errors import InputError, warn
 
 INDEX, LOCK = "index.csv", "lock"
+WAIT = 10.0
+"""Time in seconds for which a short change of a folder waits until another run releases the folder."""
 HEADER = "file,bytes,sha256\n"
 MOST_REQUEST, MOST_INDEX = 10_000_000, 2**28
 LINE = re.compile(r"([a-z0-9/-]+\.(?:fits|ecsv|npz)),(\d{1,18}),([0-9a-f]{64})\n")
 
 
 @contextmanager
-def locked(path: Path, lock: Path | None = None):
-    """Lock an output, and raise an error if another run has locked it.
+def locked(path: Path, lock: Path | None = None, *, wait: float = 0.0):
+    """Lock an output, and raise an error if another run has locked it for longer than ``wait`` seconds.
 
     By default, the lock is a hidden file beside the output, which is removed at the end.
     """
     own = path.with_name(f".{path.name}.lock") if lock is None else lock
     guard = FileLock(own)
     try:
-        guard.acquire(timeout=0)
+        guard.acquire(timeout=wait)
         taken = not own.exists()  # the run that held the lock has just removed its file
     except Timeout:
         taken = True
@@ -103,7 +105,12 @@ class RequestFolder:
         return self
 
     def __exit__(self, *_):
+        self.release()
+
+    def release(self) -> None:
+        """Release the lock of the folder."""
         self._lock.__exit__(None, None, None)
+        self._lock = nullcontext()
 
     @property
     def _begun(self) -> bool:
@@ -122,6 +129,9 @@ class RequestFolder:
         if self._begun:
             self._compare(load_request(self.path / self.request_name), dict(self._request))
             self._read()
+        self._write_request()
+
+    def _write_request(self):
         remove_temporary(self.path)
         content = (json.dumps(self._request, indent=1, sort_keys=True) + "\n").encode()
         write_bytes(self.path / self.request_name, content, sync=True)

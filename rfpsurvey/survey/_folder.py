@@ -3,7 +3,6 @@
 import hashlib
 import json
 import os
-import re
 from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,12 +10,26 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._folder import INDEX, RequestFolder, check_file, load_request, read_verified
-from rfpsurvey._io import write_bytes, write_table, written
+from rfpsurvey._folder import LOCK, WAIT, RequestFolder, check_file, load_request, locked, read_index, read_verified
+from rfpsurvey._io import write_table, written
 from rfpsurvey._readers import content_of, is_present, read_fits_bytes, read_table
+from rfpsurvey._temporary import remove
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.constraints import with_present_texts
 from rfpsurvey.errors import InputError, warn
+from rfpsurvey.survey._generations import (
+    EVENTS,
+    KEPT,
+    MOST_FILE,
+    NEXT,
+    READY,
+    Generation,
+    add_generation,
+    generations_of,
+    read_plans,
+    replace_plan,
+    settle,
+)
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
 JOINT = "joint.ecsv"
@@ -32,14 +45,8 @@ COLUMNS = {
 VISITS = ("target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed")
 KINDS = {"target_row": ("i", "integers"), "in_collision": ("b", "booleans"), "observed": ("b", "booleans")}
 """Columns that the file of each tile must have, and the types of some of them."""
-ENTRIES = {"events": dict, "first": dict, "columns": dict, "required_ids": list, "planned": str}
+ENTRIES = {"events": dict, "first": dict, "columns": dict, "required_ids": list, "planned": str, "generation": int}
 """Entries of a request that are used without a comparison with those of another request, and their types."""
-MOST_FILE = 2**28
-EVENTS, PLANS = "events", "events/plans"
-"""Folders of recorded events, and of copies of plans with which tiles were observed."""
-DATE_LINE = re.compile(r"(tiles/\d+/\d+\.fits),([0-9a-f]{64}),(|\d{4}-\d\d-\d\d)")
-DATES = f"{EVENTS}/plans.csv"
-"""File with the checksum of the former plan of each tile, and the date on which this plan was made."""
 
 
 class Folder(RequestFolder):
@@ -63,8 +70,52 @@ class Folder(RequestFolder):
         super().__init__(path, request.recorded(), resume=resume)
         state, self._n, self._of_first_tiles = request.state, len(request.tiling), request.of_first_tiles
         self._state, self._is_new_state, self._has_more_tiles = state, False, False
-        if state is not None and self.path.resolve() == state.folder.resolve() and not resume:
+        self.home, self._kept, self._former = self.path, {}, {}
+        self._request["generation"] = 1
+        self._is_own = state is not None and self.home.resolve() == state.folder.resolve()
+        if self._is_own and not resume:
             raise InputError(f"{self.path} holds the survey of these events; to plan it again, use resume=True")
+
+    def __enter__(self):
+        if self._is_own and self._begun:
+            with locked(self.home, self.home / LOCK, wait=WAIT):
+                replace_plan(self.home)
+                self._compare(load_request(self.home / self.request_name), dict(self._request))
+            if self._is_new_state:  # the present plan remains until the new plan is complete
+                self.path, plans = self.home / NEXT, read_plans(self.home)
+                for name, entries in read_index(self.home).items():
+                    checksum = entries[-1][1]
+                    number = dict(plans.get(name, ())).get(checksum, self._request["generation"] - 1)
+                    self._former[name] = number, checksum
+        return super().__enter__()
+
+    def _open(self):
+        if not self.is_beside:
+            super()._open()
+            return
+        if self._begun:
+            undated = [one | {"planned": ""} for one in (load_request(self.path / self.request_name), self._request)]
+            if undated[0] == undated[1]:
+                self._read()
+            else:
+                for entry in self.path.iterdir():  # the plan that was begun has other events or options
+                    if entry.name not in (LOCK, self.request_name):
+                        remove(entry)
+        self._write_request()
+
+    @property
+    def is_beside(self) -> bool:
+        """Whether the plan is written beside the present plan of the survey, which it will replace."""
+        return self.path != self.home
+
+    @property
+    def generation(self) -> int:
+        """Number of the plan: 1 for the first plan of a survey, 2 for the first plan of the rest."""
+        return self._request["generation"]
+
+    def former(self, tile: int) -> tuple[int, str] | None:
+        """Return the generation and the checksum of the plan of a tile that the new plan replaces; None for none."""
+        return self._former.get(part_name(tile))
 
     def _compare(self, before: dict, now: dict):
         """Raise an error if the survey differs from that in the folder, except for the recorded events."""
@@ -74,8 +125,10 @@ class Folder(RequestFolder):
         before = with_present_texts(before, now)
         # those of the first plan
         now["columns"] = self._request["columns"] = before.setdefault("columns", now["columns"])
-        self._planned = before.pop("planned", "")
-        if self._state is None or self._state.folder.resolve() != self.path.resolve():
+        planned, number = before.pop("planned", None), before.pop("generation", 1)
+        now = {name: value for name, value in now.items() if name not in ("planned", "generation")}
+        self._request |= {"generation": number} | ({} if planned is None else {"planned": planned})
+        if not self._is_own:
             if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
                 raise InputError(
                     f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
@@ -100,7 +153,8 @@ class Folder(RequestFolder):
         own_first = self._for_tiles_of(first, now_first)
         now_first |= {name: own_first[name] for name in ("passes", "tiles") if name in own_first}
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
-        is_finished = not self._is_new_state and (self.path / TABLES[0]).is_file()
+        if self._is_new_state:
+            self._request["generation"] = number + 1
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
         earlier, same = (
             {name: value for name, value in one.items() if name not in changed} | {"instrument": _instrument_of(one)}
@@ -113,7 +167,6 @@ class Folder(RequestFolder):
                 "; give another folder", "; all options except visits must be those of the first plan"
             )
             raise InputError(text) from None
-        self._request["planned"] = self._planned if is_finished else str(clock().date())
 
     def _for_tiles_of(self, before: dict, now: dict) -> dict:
         """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""
@@ -130,37 +183,6 @@ class Folder(RequestFolder):
             self._write_index((name, entry) for name, entries in self._known.items() for entry in entries)
             for name in ABOUT:
                 (self.path / name).unlink(missing_ok=True)
-        if not self._is_new_state:
-            return
-        if not self._known and (self.path / TABLES[0]).is_file():
-            warn(f"{self.path / INDEX} is damaged: {self.parts} without a line in this file are planned again")
-        dates = plan_dates(self.path)
-        for name, entries in self._known.items():
-            if dates.get(name, ("",))[0] != entries[-1][1]:
-                dates[name] = entries[-1][1], self._planned
-        if self._known:
-            (self.path / EVENTS).mkdir(exist_ok=True)
-            write_bytes(self.path / DATES, dates_text(dates).encode(), sync=True)
-        # plans that are not kept are removed from the index before the new request is written
-        kept = {part_name(row): event for row, event in self._state.kept.items()}
-        for row, plan in self._state.events.plans:
-            name = part_name(row)
-            # the index, which can be damaged, does not determine which plans are kept
-            if name not in kept or kept[name].plan != plan:
-                self._copy(name, plan)
-        stale = [name for name in self._known if name not in kept or self._known[name][-1][1] != kept[name].plan]
-        for name in stale:
-            del self._known[name]
-        self._write_index((name, entries[-1]) for name, entries in self._known.items())
-        for name in {*stale, *ABOUT}:  # new files are written faster than files are replaced
-            (self.path / name).unlink(missing_ok=True)
-
-    def _copy(self, name: str, digest: str) -> None:
-        """Keep a plan with which a tile was observed, because the file of the tile will be replaced."""
-        copy = self.path / kept_name(digest)
-        if verified(copy, digest) is None and (content := verified(self.path / name, digest)) is not None:
-            copy.parent.mkdir(parents=True, exist_ok=True)
-            write_bytes(copy, content, sync=True)
 
     def _belongs(self, name: str) -> bool:
         stem = Path(name).stem
@@ -169,6 +191,10 @@ class Folder(RequestFolder):
     def has_part(self, tile: int, digest: str) -> bool:
         """Return whether the file of a tile has a checksum, which is also that in the index."""
         name = part_name(tile)
+        content = verified(self.home / name, digest)
+        if content is not None and self.is_beside:
+            self._kept[name] = [(len(content), digest)]
+            return True
         content = verified(self.path / name, digest)
         return content is not None and self._known.get(name, [None])[-1] == (len(content), digest)
 
@@ -198,9 +224,33 @@ class Folder(RequestFolder):
         with self.writing(name) as own:
             write_table(table, own, cards=cards, name=title)
 
+    def finish(self) -> None:
+        """Write the final index; a plan that was written beside the present plan then replaces it."""
+        self._known |= self._kept
+        super().finish()
+        if not self.is_beside:
+            return
+        with locked(self.home, self.home / LOCK, wait=WAIT):
+            events, today = self._state.present_events(), str(clock().date())
+            before = generations_of(self.home, load_request(self.home / self.request_name))
+            now = Generation(self.generation, today, len(self._state.events.files))
+            recorded = [file for file in events.files if file.n_applied == before[-1].n_files]
+            # observations can be reported late
+            is_observed = before[-1].date < today or any(event.plan for file in recorded for event in file.tiles)
+            used = {(part_name(row), plan) for row, plan in events.plans}
+            self._request["planned"] = today
+            self._write_request()
+            super().finish()
+            add_generation(self.home, self.path, before, now, used, is_observed=is_observed)
+            self.release()
+            os.rename(self.path, self.home / READY)
+            replace_plan(self.home)
+        self.path = self.home
+
 
 def read_request(folder: Path) -> dict:
     """Return the request of the survey in a folder, or raise an error if it is damaged; {} if there is none."""
+    settle(folder)
     path = folder / Folder.request_name
     if not is_present(path) and not is_present(folder / EVENTS):
         return {}
@@ -273,25 +323,6 @@ def clock() -> datetime:
     return datetime.fromtimestamp(int(seconds), UTC) if seconds.isdecimal() else datetime.now().astimezone()
 
 
-def plan_dates(folder: Path) -> dict[str, tuple[str, str]]:
-    """Return the checksum and the date of the former plan of each tile by name; the date of the first plan is empty.
-
-    If the present plan of a tile has another checksum, it was made on the date ``planned`` in the request.
-    """
-    if not is_present(folder / DATES):
-        return {}
-    text = content_of(folder / DATES, most=MOST_FILE).decode("ascii", "replace")
-    dates = {match[1]: (match[2], match[3]) for match in map(DATE_LINE.fullmatch, text.splitlines()) if match}
-    if not dates or dates_text(dates) != text:
-        raise InputError(f"{folder / DATES} is damaged (it must have a line for each tile); restore it, or remove it")
-    return dates
-
-
-def dates_text(dates: dict[str, tuple[str, str]]) -> str:
-    """Return the content of the file with the checksums and dates of former plans."""
-    return "".join(",".join((name, *dates[name])) + "\n" for name in sorted({*dates} - {*ABOUT}))
-
-
 def part_name(tile: int) -> str:
     """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
@@ -304,7 +335,7 @@ def _instrument_of(request: dict) -> str:
 
 def kept_name(digest: str) -> str:
     """Return the name of the copy of a plan with which a tile was observed, and which the survey later replaced."""
-    return f"{PLANS}/{digest}.fits"
+    return f"{KEPT}/{digest}.fits"
 
 
 def read_named(path: Path, digest: str) -> bytes:

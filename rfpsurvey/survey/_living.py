@@ -110,16 +110,17 @@ class Living:
         return undo(self, number, note=note, dry_run=dry_run)
 
     def events(self) -> QTable:
-        """Return a table of all records of the survey.
+        """Return a table of all records of the survey, and of the plans that were made after them.
 
         Returns
         -------
         QTable
-            Table with a row for each record: its ``number``, the ``time`` of recording (UTC), the ``user``, the name of
-            the ``table``, the ``note``, the first and the last date of its rows (``dates``), the numbers of tiles
-            (``n_tiles``), of failed visits (``n_failed``) and of targets (``n_targets``) that it states, the record
-            that it undoes (``undoes``, 0 for none), the record that undid it (``undone_by``), and the names of the
-            files in the folder ``events`` with its rows (``rows``).
+            Table with a row for each record and each plan of the rest: the ``number`` of the record or the
+            ``generation`` of the plan (0 for others), the ``time`` of recording (UTC) or the date of the plan, the
+            ``user``, the name of the ``table``, the ``note`` or the changed keys of the plan file, the first and the
+            last date of its rows (``dates``), the numbers of tiles (``n_tiles``), of failed visits (``n_failed``) and
+            of targets (``n_targets``) that it states, the record that it undoes (``undoes``, 0 for none), the record
+            that undid it (``undone_by``), and the names of the files in the folder ``events`` with its rows (``rows``).
 
         Raises
         ------

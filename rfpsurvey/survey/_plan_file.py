@@ -259,8 +259,8 @@ def check_inputs(folder: Path, request: dict) -> None:
         raise InputError(f"{folder / inputs.RECORD} must name the tiles of the first plan, {recorded}, got {own}")
 
 
-def write_call(request, call: dict, folder: Path) -> None:
-    """Write the plan file of a survey to its folder; inputs that no other file describes are written there as well.
+def write_call(request, call: dict, folder: Path, place: Path) -> None:
+    """Write the plan file of a survey; inputs that no other file describes are written to the folder of the survey.
 
     Parameters
     ----------
@@ -269,7 +269,9 @@ def write_call(request, call: dict, folder: Path) -> None:
     call : dict
         The parameters of `plan_survey`.
     folder : Path
-        The folder.
+        The folder of the survey.
+    place : Path
+        The folder of the plan file, which is another one until a new plan replaces the present plan.
     """
     text_of = inputs.PLAN_FILE.get()
     if text_of is None:
@@ -278,8 +280,8 @@ def write_call(request, call: dict, folder: Path) -> None:
         tables = ("options",) if request.joint is None else ("options", "joint")
         text_of = partial(inputs.Given("survey", keys_of(SurveyKeys), values).record, tables=tables)
     text = text_of(folder)
-    write_bytes(folder / inputs.RECORD, text.encode(), sync=True)
-    for path in (folder / inputs.INPUTS).glob("*"):
+    write_bytes(place / inputs.RECORD, text.encode(), sync=True)
+    for path in (folder / inputs.INPUTS).glob("*") if place == folder else ():
         if path.name not in text:
             path.unlink()
 

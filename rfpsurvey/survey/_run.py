@@ -26,11 +26,11 @@ from rfpsurvey.survey._work import DONE, Done, Job, cards_of, early_sentences, f
 
 
 def run(
-    request: Request, path, executor: Executor | None, progress, *, resume: bool, record: Callable[[Path], None]
+    request: Request, path, executor: Executor | None, progress, *, resume: bool, record: Callable[[Path, Path], None]
 ) -> Survey:
     """Plan the tiles of a survey, and write them to the folder ``path`` unless ``path`` is None.
 
-    The function ``record`` writes the plan file of the survey to the folder, when the folder is locked.
+    The function ``record`` writes the plan file for the folder of the survey, which is locked, to a second folder.
     """
     joint = None
     where = nullcontext()
@@ -39,9 +39,9 @@ def run(
         where = Folder(path, request, resume=resume)
     with where as folder:
         if folder is not None:
-            record(folder.path)
+            record(folder.home, folder.path)
         n = len(request.tiling)
-        found = None if folder is None else read_finished(folder.path, request)
+        found = None if folder is None or folder.is_beside else read_finished(folder.path, request)
         if found is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
@@ -92,9 +92,9 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
         return []
     history = request.state
     _mark_reached(request, state)
-    is_same = folder is not None and folder.path.resolve() == history.folder.resolve()
+    is_same = folder is not None and folder.home.resolve() == history.folder.resolve()
     if is_same and history.until is None and history.events.files:
-        history.replayed.write(folder.path)
+        history.replayed.write(folder.home)
     cards = cards_of(request.options)
     for tile, event in history.kept.items():
         if folder is None:
@@ -151,4 +151,5 @@ def _argument(folder, writes: bool, tile: int, job: Job) -> tuple[Job, Done | No
     if folder is None:
         return job.bare(), None
     known = read_part(folder, tile, job)
-    return job._replace(as_file=True, path=folder.new_path(tile) if writes else None).bare(), known
+    path, plans = folder.new_path(tile) if writes else None, (folder.generation, folder.former(tile))
+    return job._replace(as_file=True, path=path, generations=plans).bare(), known

@@ -20,6 +20,7 @@ from rfpsurvey.errors import InputError, warn
 from rfpsurvey.inputs import INPUTS, RECORD
 from rfpsurvey.survey import _folder
 from rfpsurvey.survey._columns import ALSO_SCIENCE, LOST_TO_RULES, N_LOST
+from rfpsurvey.survey._generations import EVENTS, GENERATIONS, NEXT, PLANS, read_generations, read_plans
 from rfpsurvey.survey._history._catalogs import check_first_catalog
 from rfpsurvey.survey._history._event_files import COPY, read_events
 from rfpsurvey.survey._history._events import Events, TileState
@@ -190,25 +191,27 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     if n_strange or not known:
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
     # a survey that was planned with the events of another folder does not contain them
-    is_own = "events" not in request or "planned" in request or is_present(folder / _folder.EVENTS)
-    chain = events or (check(_folder.EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
+    is_own = "events" not in request or "planned" in request or is_present(folder / EVENTS)
+    chain = events or (check(EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
     events = chain or Events(folder)
-    own = {REQUEST, INDEX, LOCK, _folder.DATES, CHECKPOINT, COPY, RECORD, *known}
-    own |= {f"{_folder.EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
+    own = {REQUEST, INDEX, LOCK, PLANS, GENERATIONS, CHECKPOINT, COPY, RECORD, *known}
+    own |= {f"{EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
     for name in (name for file in events.files for name in file.others):
-        own.add(f"{_folder.EVENTS}/{name}")
-        check(f"{_folder.EVENTS}/{name}", RESTORED, events.read_other, name)
+        own.add(f"{EVENTS}/{name}")
+        check(f"{EVENTS}/{name}", RESTORED, events.read_other, name)
     for event in TileStates(events.of_tiles()).attempts:
         check(_folder.part_name(event.row), CANCELED, events.plan, event.row, event.plan)
-    for name, plan in {(_folder.kept_name(plan), plan) for _, plan in events.plans}:
+    plans = check(PLANS, RESTORED, read_plans, folder) or {}
+    check(GENERATIONS, RESTORED, read_generations, folder)
+    replaced = {checksum for own_plans in plans.values() for checksum, _ in own_plans}
+    for name, plan in {(_folder.kept_name(plan), plan) for plan in replaced | {plan for _, plan in events.plans}}:
         if is_present(folder / name):
             own.add(name)
             check(name, RESTORED, _folder.read_named, folder / name, plan)
     if is_present(folder / CHECKPOINT):
         check(CHECKPOINT, MADE, checkpoint_of, folder)
-    if events.files and request.get("events") and is_present(folder / _folder.EVENTS):
-        check(_folder.DATES, RESTORED, content_of, folder / _folder.DATES)
-    check(_folder.DATES, RESTORED, _folder.plan_dates, folder)
+    if events.files and request.get("events") and is_present(folder / EVENTS):
+        check(PLANS, RESTORED, content_of, folder / PLANS)
     is_begun = any(name in known or is_present(folder / name) for name in _folder.TABLES)
     expected = {*known, *_folder.TABLES} if is_begun else {*known}
     for name in sorted(one for one in expected if not one.startswith("tiles/")):
@@ -231,8 +234,9 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
         own |= {str(path.relative_to(folder)) for path in (folder / INPUTS).glob("*")}
     own |= {*expected, *rows, *damaged}
     found = {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
-    not_known = tuple(name for name, one in ((_folder.EVENTS, chain), ("tiles", survey)) if one is None)
-    others = {name for name in found - own if not name.startswith(not_known) and TEMPORARY_PREFIX not in name}
+    not_known = tuple(name for name, one in ((EVENTS, chain), ("tiles", survey)) if one is None)
+    omitted = (*not_known, f"{NEXT}/")
+    others = {name for name in found - own if not name.startswith(omitted) and TEMPORARY_PREFIX not in name}
     return damaged, sorted(others)
 
 

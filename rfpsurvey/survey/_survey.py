@@ -16,7 +16,8 @@ from rfpsurvey._folder import read_index
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.pipeline import OUTCOMES
 from rfpsurvey.survey._columns import OUTCOME, TILES
-from rfpsurvey.survey._folder import EVENTS, JOINT, TABLES, read_request, read_stored_table, read_visits
+from rfpsurvey.survey._folder import JOINT, TABLES, read_request, read_stored_table, read_visits
+from rfpsurvey.survey._generations import EVENTS
 from rfpsurvey.survey._living import Living
 from rfpsurvey.survey._work import VISITS_UNITS
 

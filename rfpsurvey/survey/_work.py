@@ -86,6 +86,8 @@ class Job(NamedTuple):
     """Whether the visits are returned as the content of a FITS file instead of an array."""
     path: Path | None = None
     """Path to which `work` writes this file; None if the file is not written."""
+    generations: tuple[int, tuple[int, str] | None] = (1, None)
+    """The generation of the plan, and the generation and the checksum of the plan of the tile that it replaces."""
 
     def bare(self) -> "Job":
         """Return the job without the slots of targets, which workers do not require."""
@@ -164,7 +166,13 @@ def work(job: Job) -> Done:
     )
     part = visits = None
     if job.as_file:
-        part = fits_bytes(columns, cards, model.cards(tuple(columns)))
+        now, former = job.generations
+        # a plan that does not change keeps the generation that introduced it
+        for number, checksum in ([] if former is None else [former]) + [(now, None)]:
+            cards["GENER"] = number, "generation that introduced this plan"
+            part = fits_bytes(columns, cards, model.cards(tuple(columns)))
+            if checksum == hashlib.sha256(part).hexdigest():
+                break
         part = part if job.path is None else write_new_file(job.path, part)
     else:
         visits = np.rec.fromarrays(list(columns.values()), names=list(columns))

@@ -17,6 +17,7 @@ from living import content, events, instrument, sha, targets, tiling
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, survey_status
+from rfpsurvey.survey._history._event_files import read_events
 
 SKY, TINY, TILES = targets(), instrument(), tiling()
 SKY = replace(SKY, visits=np.where(SKY.id == 1005, 0, SKY.visits))  # one visit is requested, because it is required
@@ -67,7 +68,8 @@ OTHERS = ("notes.txt", "tiles/000/000700.fits", "events/000009-0.fits")
 
 
 def path_of(folder: Path, name: str) -> Path:
-    (path,) = folder.glob(FILES.get(name, name))
+    used = [f"{plan}.fits" for _, plan in read_events(folder).plans]
+    (path,) = (path for path in folder.glob(FILES.get(name, name)) if name != "kept plan" or path.name in used)
     return path
 
 

@@ -66,6 +66,8 @@ class NaiveHistory:
 
     log: list = field(default_factory=list)
     """Pairs of a word (``observe``, ``cancel``, ``drop``, ``add``) and an observation."""
+    generations: list = field(default_factory=list)
+    """The date, the observations and the plan of each tile of each plan of the survey."""
 
     def records(self, tile: str, date: str) -> list[Observation]:
         """Return the records of a tile and a date that were made since the tile was canceled."""
@@ -77,16 +79,46 @@ class NaiveHistory:
                 found.append(one)
         return found
 
-    def plan(self, tile: str, date: str, present: bytes, digest: str = "") -> bytes:
-        """Return the plan with which a tile was observed on a date, of which a table gives the digest; empty if none.
+    def plan(self, tile: str, date: str, digest: str = "", stated=()) -> bytes:
+        """Return the plan with which a tile was observed on a date; empty if it is not known.
 
-        It is that of the recorded observation of this date. Without such an observation, it is the present plan, or
-        with a digest, the plan of any earlier record of this tile.
+        ``digest`` is the digest of the plan in a table, and ``stated`` are the targets in the table.
         """
-        plans = [one.plan for one in self.of(tile) if one.date == date] or [present]
-        if digest and plans == [present]:
-            plans += [one.plan for word, one in self.log[::-1] if word == "observe" and one.tile == tile]
-        return next((plan for plan in plans if plan and (not digest or digest in digests(plan))), b"")
+        recorded = [one.plan for one in self.of(tile) if one.date == date]
+        if recorded:
+            return recorded[0] if not digest or digest in digests(recorded[0]) else b""
+        plans, used = [plans.get(tile) for *_, plans in self.generations], []
+        for word, one in self.log:
+            if one.tile == tile:
+                used = [] if word == "add" else used + [one.plan] * (word == "observe")
+        known = [*used, *filter(None, plans)]
+        if digest:
+            return next((plan for plan in known[::-1] if digest in digests(plan)), b"")
+        counted = {(one.tile, one.date, one.plan) for one in self.observations()}
+        valid = [
+            number
+            for number, (made, applied, _) in enumerate(self.generations)
+            if made <= date and all(of < date for _, of, _ in applied & counted)
+        ]
+        if not known or (not plans[-1] and (not valid or valid[-1] == len(plans) - 1)):
+            return b""
+        own = [plan for plan in plans[: valid[-1] + 1] if plan] if valid else []
+        fits = [plan for plan in known if stated and {str(one[0]) for one in visits_of(plan)} <= {*stated}]
+        return fits[-1] if fits and not {*own[-1:]} & {*fits} else own[-1] if own else b""
+
+    def replan(self, day: str, plans: dict[str, bytes]) -> None:
+        """Add a generation; plans that are replaced on their day, before an observation with them, are not kept."""
+        if self.generations:
+            made, _, before = self.generations[-1]
+            observed = {(one.tile, one.date, one.plan) for word, one in self.log if word == "observe"}
+            used = {plan for _, _, plan in observed}
+            earlier = {plan for *_, own in self.generations[:-1] for plan in own.values()}
+            if made == day and observed == self.planned_with:
+                for tile in [*before]:
+                    if plans.get(tile) != before[tile] and before[tile] not in used | earlier:
+                        del before[tile]
+        self.planned_with = {(one.tile, one.date, one.plan) for word, one in self.log if word == "observe"}
+        self.generations.append((day, self.planned_with, dict(plans)))
 
     def is_known(self, tile: str, date: str, said: frozenset) -> bool:
         """Return whether one earlier record of a tile and a date makes all statements."""
@@ -108,6 +140,8 @@ class NaiveHistory:
 
     def add(self, tile: str) -> None:
         self.log.append(("add", Observation(tile, "", "added", b"")))
+        for *_, plans in self.generations:  # plans for another position
+            plans.pop(tile, None)
 
     def observations(self, until: str | None = None) -> list[Observation]:
         """Return the observations that count, in the order of dates."""

@@ -27,6 +27,7 @@ ROLES = {
     "position_angle": ("position_angle", "pa"),
     "pass": ("pass",),
     "plan": ("plan", "planid", "plan_id"),
+    "generation": ("generation", "gener"),
 }
 """Names of columns, by role; case is ignored."""
 VISITS = ("positioner", "target", "spectrograph")
@@ -113,7 +114,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
         "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": _texts(table, roles.get("reason")) or [""] * n,
-        **{role: _texts(table, roles.get(role)) for role in (*VISITS, "plan")},
+        **{role: _texts(table, roles.get(role)) for role in (*VISITS, "plan", "generation")},
     }
 
 

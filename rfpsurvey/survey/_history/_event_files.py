@@ -14,7 +14,8 @@ from astropy.table import QTable, Table
 from rfpsurvey import _io
 from rfpsurvey._readers import content_of, is_present, sentence
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.survey._folder import EVENTS, MOST_FILE, read_request
+from rfpsurvey.survey._folder import read_request
+from rfpsurvey.survey._generations import EVENTS, MOST_FILE
 from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState
 
 VERSION = 2
@@ -144,7 +145,7 @@ def _stated(event: dict) -> dict[str, list[str]]:
 
 def _is_valid(event: TileEvent) -> bool:
     """Return whether the values of an event have their types."""
-    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool)
+    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool, int)
     is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
     return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
 

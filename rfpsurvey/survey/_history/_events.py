@@ -17,14 +17,8 @@ from astropy.table import QTable, vstack
 
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey.errors import InputError
-from rfpsurvey.survey._folder import (
-    EVENTS,
-    kept_name,
-    parse_visits,
-    part_name,
-    read_named,
-    verified,
-)
+from rfpsurvey.survey._folder import kept_name, parse_visits, part_name, read_named, verified
+from rfpsurvey.survey._generations import EVENTS
 from rfpsurvey.tiling import Tiling
 
 
@@ -68,6 +62,8 @@ class TileEvent(NamedTuple):
     """Positioners that were successful according to the table."""
     replaces: bool = False
     """Whether the failed visits of earlier records of the same observation are discarded."""
+    made_with: int = -1
+    """Number of files of events with which the plan was made that was observed; -1 for the present plan."""
 
     @property
     def observation(self) -> tuple:

@@ -17,30 +17,33 @@ from astropy.time import Time
 
 from rfpsurvey import _io
 from rfpsurvey._descriptions import Column, describe
-from rfpsurvey._folder import LOCK, locked, read_index, remove_temporary
+from rfpsurvey._folder import LOCK, WAIT, locked, read_index, remove_temporary
 from rfpsurvey._methods import table_of
 from rfpsurvey.catalog import as_table
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
 from rfpsurvey.plans import native_format, read_plan
-from rfpsurvey.survey._folder import EVENTS, TABLES, clock, read_request
+from rfpsurvey.survey._folder import TABLES, clock, read_request
+from rfpsurvey.survey._generations import EVENTS, read_generations, replace_plan
 from rfpsurvey.survey._history._columns import check_others, columns_of_catalog, renamed, roles_of
 from rfpsurvey.survey._history._dates import check_not_future
 from rfpsurvey.survey._history._event_files import append_events, copied_bodies, read_events, write_copy
 from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles
+from rfpsurvey.survey._history._plans import History
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import DROPPED, IS_ADDED, target_changes
-from rfpsurvey.survey._history._tile_events import History, tile_events
+from rfpsurvey.survey._history._tile_events import tile_events
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.tiling import Tiling
 
 RESULTS = ("state", "good", "date", "fraction", "positioner", "target")
 """Roles of columns of which a table of observations has at least one; other tables can be lists of tiles."""
 RECORDS = table_of(
-    Column("number", "number of the record"),
-    Column("time", "time of recording (UTC)"),
+    Column("number", "number of the record, or 0"),
+    Column("generation", "number of the plan of the rest that was made after the records before it, or 0"),
+    Column("time", "time of recording (UTC), or date of the plan"),
     Column("user", "user who recorded the table"),
     Column("table", "name of the table"),
-    Column("note", "note of the user"),
+    Column("note", "note of the user, or keys of the plan file that were changed for the plan"),
     Column("dates", "first and last date of the rows"),
     Column("n_tiles", "number of tiles"),
     Column("n_failed", "number of failed visits"),
@@ -96,7 +99,8 @@ def record(
             f"a table of observations must have one of the columns {listed(RESULTS)}, got {listed(table.colnames)}; to "
             "record that tiles are finished, add a column state with the value done"
         )
-    with locked(folder, folder / LOCK):
+    with locked(folder, folder / LOCK, wait=WAIT):
+        replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         survey = _present_survey(survey, folder)
         history = History(survey, folder, events, groups)
@@ -126,7 +130,8 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
     """Append a file that undoes a file of events; see `Survey.undo`."""
     check_switch(dry_run, "dry_run")
     folder = _folder_of(survey)
-    with locked(folder, folder / LOCK):
+    with locked(folder, folder / LOCK, wait=WAIT):
+        replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         n = len(events.files)
         if isinstance(number, bool) or not isinstance(number, Integral) or not 0 < number <= n:
@@ -210,6 +215,7 @@ def events_table(survey) -> QTable:
     """Return a table of all records of a survey; see `Survey.events`."""
     events = read_events(_folder_of(survey))
     rows = []
+    plans = read_generations(events.folder)[1:]
     for number, file in enumerate(events.files, 1):
         targets = QTable() if file.targets is None else events.read_targets(file.targets)
         stated = [event.date for event in file.tiles] + (targets["date"].tolist() if len(targets) else [])
@@ -218,7 +224,9 @@ def events_table(survey) -> QTable:
         dates = first if first == last else f"{first} to {last}"
         counts = len({event.row for event in file.tiles}), sum(len(event.failed) for event in file.tiles), len(targets)
         undo = file.undoes or 0, events.undone.get(number, 0)
-        rows.append((number, *told, dates, *counts, *undo, next(iter(file.others), "")))
+        rows.append((number, 0, *told, dates, *counts, *undo, next(iter(file.others), "")))
+        for plan in (plan for plan in plans if plan.n_files == number):
+            rows.append((0, plan.number, plan.date, "", "", plan.edits, "", 0, 0, 0, 0, 0, ""))
     table = QTable(rows=rows, names=list(RECORDS)) if rows else QTable({name: [] for name in RECORDS})
     return describe(table, RECORDS)
 

@@ -18,8 +18,9 @@ from rfpsurvey._units import MOST_VISITS
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError
 from rfpsurvey.survey._columns import CARDS, N_LOST
+from rfpsurvey.survey._generations import EVENTS
 from rfpsurvey.survey._history._catalogs import column_of, is_science
-from rfpsurvey.survey._history._events import EVENTS, Events, TileEvent, TileState
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState
 from rfpsurvey.survey._history._rule import LAST
 from rfpsurvey.survey._work import LOST_IN_COLLISION
 

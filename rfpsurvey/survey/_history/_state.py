@@ -213,7 +213,7 @@ class SurveyState:
         made: dict[tuple, int] = {}
         for number, file in enumerate(self.events.files, 1):
             for event in self.events.of_file(number):
-                made.setdefault(event.observation, file.n_applied)
+                made.setdefault(event.observation, file.n_applied if event.made_with < 0 else event.made_with)
         found = {}
         for row, event in self.kept.items():  # a tile keeps the plan with which its observation began
             others = [one for one in self.states.of(row) if (one.state, one.plan) == (TileState.PARTLY, event.plan)]
@@ -235,6 +235,16 @@ class SurveyState:
         """A digest of the catalog of the first plan, which is computed without an index on the sky."""
         return digest_of(self.first)
 
+    def present_events(self) -> Events:
+        """Return all events in the folder, which can contain more than those of this state.
+
+        Returns
+        -------
+        Events
+            The events.
+        """
+        return read_events(self.folder, self.events)
+
     def check_current(self) -> None:
         """Raise an error if events were recorded in the folder after this state was read.
 
@@ -243,7 +253,7 @@ class SurveyState:
         InputError
             If there are later events.
         """
-        if read_events(self.folder, self.events).digest != self.events.digest:
+        if self.present_events().digest != self.events.digest:
             raise InputError(
                 f"visits must be the state after all events in {self.folder}, got a state that was read before the "
                 "last event was recorded; call Survey.state again"

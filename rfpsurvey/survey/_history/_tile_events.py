@@ -1,102 +1,22 @@
 """Convert a table of observations, or of changes to tiles, to events."""
 
 import re
-from collections.abc import Callable
-from pathlib import Path
+from collections.abc import Collection
 
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._folder import read_index
 from rfpsurvey._io import check_fits_text
-from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey._units import to_labels
 from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
-from rfpsurvey.survey._folder import part_name, plan_dates, read_request
 from rfpsurvey.survey._history._columns import VISITS, columns_of, groups_of
-from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of
-from rfpsurvey.survey._history._replay import TileStates
+from rfpsurvey.survey._history._events import TileEvent, TileState
+from rfpsurvey.survey._history._plans import History
 from rfpsurvey.survey._history._targets import to_numbers
-from rfpsurvey.survey._work import plan_digest
 from rfpsurvey.tiling import when_of
 
 MOST_FRACTION = 10
 """Largest fraction of an exposure; larger numbers are usually percentages."""
-
-
-class History:
-    """What is known about the tiles of a survey before a table is recorded."""
-
-    def __init__(self, survey, folder: Path, events: Events, groups: Callable[[str], dict[str, str]]):
-        self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
-        self.groups = groups
-        """Function of the name of a column that returns the group of each positioner, such as its petal, as text."""
-        self._names, self._places = np.asarray(survey.tiles["tile"]).astype(str).tolist(), places_of(survey.tiles)
-        self.row_of = {name: row for row, name in enumerate(self._names)}
-        for row, event in self.states.added.items():
-            self.row_of.setdefault(event.tile, row)
-        self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
-        added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
-        self.n_targets = max(len(survey.outcomes), *added, 0)
-        self._known, self._dates = read_index(folder), plan_dates(folder)
-        self._planned = read_request(folder).get("planned", "")
-        applied = events.of_plan(survey.provenance)
-        self.n_applied = len(applied.files)
-        planned = {one.observation for one in applied.of_tiles()}
-        dates = [one.date for one in self.states.attempts if one.observation in planned]
-        self.planned_until = max(dates, default="")
-        self.used_plans = {*events.plans}
-        self.past: dict[int, list[TileEvent]] = {}
-        """The events of each tile since the last one that canceled its events."""
-        for event in events.of_tiles():
-            if event.state == TileState.PLANNED:
-                self.past.pop(event.row, None)
-            self.past.setdefault(event.row, []).append(event)
-
-    def of(self, name: str) -> list[TileEvent]:
-        """Return the recorded observations of a tile."""
-        return self.states.of(self.row_of[name]) if name in self.row_of else []
-
-    def earlier(self, event: TileEvent) -> TileEvent | None:
-        """Return the recorded event of the same observation; None if there is none."""
-        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
-
-    def targets(self, row: int, plan: str) -> set[str]:
-        """Return the identifiers of the targets of a plan, without empty sky."""
-        visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
-        return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
-
-    def plan(self, row: int) -> str | None:
-        """Return the checksum of the plan of a tile; None if there is no plan for its present position."""
-        entries = self._known.get(part_name(row))
-        is_planned = entries and row < len(self._names) and np.array_equal(self.place(row), self._places[row])
-        return entries[-1][1] if is_planned else None
-
-    def plan_date(self, row: int, plan: str) -> str:
-        """Return the date on which the present plan of a tile replaced another plan; empty if it replaced none."""
-        checksum, date = self._dates.get(part_name(row), ("", ""))
-        return date if checksum == plan else self._planned
-
-    def named_plan(self, row: int, name: str, date: str, digest: str) -> str:
-        """Return the checksum of the plan of a tile with the digest that a table gives, or raise an error.
-
-        Several plans can have this digest; that of the recorded observation of the date has precedence.
-        """
-        recorded = [one.plan for one in self.states.of(row) if date and one.date == date]
-        used = sorted(plan for k, plan in self.used_plans if k == row)
-        plans = dict.fromkeys(plan for plan in (*recorded, self.plan(row), *used) if plan)
-        for plan in plans:
-            visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
-            if digest in (plan, plan_digest(name, visits["positioner"], visits["target_id"])):
-                return plan
-        raise InputError(
-            f"plan must be the digest (PLANID in the header) of the present plan of tile {name}, or of a plan with "
-            f"which an observation was recorded, got {digest!r}"
-        )
-
-    def place(self, row: int) -> np.ndarray:
-        """Return the right ascension, declination, position angle (deg) and pass of a tile."""
-        return np.array(self.states.added[row].place) if row in self.states.added else self._places[row]
 
 
 def tile_events(
@@ -136,7 +56,8 @@ def tile_events(
                 )
             n_ignored += 1
             continue
-        named = {name: {columns[name][k] for k in rows if columns[name]} - {""} for name in ("plan", "target")}
+        roles_of_plan = ("plan", "generation", "target")
+        named = {role: {columns[role][k] for k in rows if columns[role]} - {""} for role in roles_of_plan}
         event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
         if state in (TileState.DONE, TileState.PARTLY, TileState.BAD):
             is_repeated = any(one.date == date for one in history.of(name))
@@ -192,11 +113,20 @@ def _state_of(
 
 
 def _event(
-    state: str, name: str, date: str, fraction: float, history: History, source: tuple, *, plan=(), target=()
+    state: str,
+    name: str,
+    date: str,
+    fraction: float,
+    history: History,
+    source: tuple,
+    *,
+    plan: Collection[str] = (),
+    generation: Collection[str] = (),
+    target: Collection[str] = (),
 ) -> TileEvent:
     """Return the event of a tile without failed positioners, or raise an error if it is not possible.
 
-    ``plan`` and ``target`` are the digests of plans and the targets that the table names.
+    ``plan``, ``generation`` and ``target`` are the digests of plans, the generations and the targets in the table.
     """
     states = history.states
     if state == TileState.ADDED:
@@ -209,39 +139,30 @@ def _event(
     if state in (TileState.PLANNED, TileState.DROPPED):
         return TileEvent(row, name, state, date, 0.0)
     earlier = [one for one in states.of(row) if one.date == date]
-    if len(plan) > 1:
-        raise InputError(f"plan must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(plan))}")
-    named = next((history.named_plan(row, name, date, one) for one in plan), None)
-    if named and any(one.plan != named for one in earlier if date):
-        raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {min(plan)!r}")
+    named = {"plan": plan, "generation": generation}
+    for what, values in named.items():
+        if len(values) > 1:
+            raise InputError(
+                f"{what} must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(values))}"
+            )
+    named = {what: next(iter(values)) for what, values in named.items() if values}
+    chosen = history.choose_plan(row, name, date, named, {*target}) if named else None
+    if chosen and any(one.plan != chosen[0] for one in earlier if date):
+        got = listed(f"{what} {value!r}" for what, value in named.items())
+        raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {got}")
     stated = [one[2:5] for one in history.past.get(row, ()) if one.has_state]
     is_repeated = date or (state, date, fraction) in stated
-    if earlier and (is_repeated or earlier[-1].state == TileState.DONE or earlier[-1].plan == history.plan(row)):
-        return TileEvent(row, name, state, date, fraction, earlier[-1].plan)
+    present = [plan for plan, _ in history.plans(row)][-1:]
+    if earlier and (is_repeated or earlier[-1].state == TileState.DONE or [earlier[-1].plan] == present):
+        return TileEvent(row, name, state, date, fraction, earlier[-1].plan, made_with=earlier[-1].made_with)
     done = [one for one in states.of(row) if one.state == TileState.DONE]
     if done:
         raise InputError(
             f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    plan = named or history.plan(row)
-    if plan is None:
-        raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-    is_older = named or (row, plan) in history.used_plans  # the tile was observed before with this plan
-    if history.planned_until and date <= history.planned_until and not is_older:
-        raise InputError(
-            f"the date of the observation of tile {name} must be later than {history.planned_until}, because its plan "
-            f"was made with the events up to this date, got {date or 'no date'}; record each night before the survey "
-            "is planned again"
-        )
-    made = "" if named else history.plan_date(row, plan)
-    if "" < date < made and not history.targets(row, plan) <= {*target}:
-        raise InputError(
-            f"the date of the observation of tile {name} must not be before {made}, the day on which its plan was last "
-            f"changed, got {date}; if the tile was observed with its present plan, give the digest of the plan (PLANID "
-            "in the header of its file) in a column plan, or the targets of all visits"
-        )
-    event = TileEvent(row, name, state, date, fraction, plan)
+    chosen, n_files = chosen or history.choose_plan(row, name, date, {}, {*target})
+    event = TileEvent(row, name, state, date, fraction, chosen, made_with=n_files)
     history.events.visits(event)  # raises an error if the file of the tile is missing or damaged
     return event
 

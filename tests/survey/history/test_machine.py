@@ -52,9 +52,10 @@ class History(RuleBasedStateMachine):
         self.naive = NaiveHistory()
         self.day, self.planned_day = 1, 0
         self.names = np.asarray(TINY.table["tile"]).astype(str).tolist()
-        self.tables, self.applied, self.unplanned = [], set(), set()
-        self.plans = {name: (part(self.folder, row), "") for row, name in enumerate(self.names)}
-        self.all_plans = {name: [plan] for name, (plan, _) in self.plans.items()}
+        self.tables, self.unplanned = [], set()
+        plans = {name: part(self.folder, row) for row, name in enumerate(self.names)}
+        self.all_plans, self.n_files = {name: [plan] for name, plan in plans.items()}, 0
+        self.naive.replan("", plans)
         self.visits = dict(zip(self.sky.id.tolist(), self.sky.visits.tolist(), strict=True))
         kind = [["science"]] * N if self.sky.kind is None else [one.split("+") for one in self.sky.kind.tolist()]
         self.roles = dict(zip(self.sky.id.tolist(), kind, strict=True))
@@ -82,6 +83,7 @@ class History(RuleBasedStateMachine):
             assert content(self.folder) == before
             return False
         self.survey.record(table)
+        before.pop("events/records.txt", None)  # the copy of all records
         assert before.items() <= content(self.folder).items()
         return True
 
@@ -124,11 +126,6 @@ class History(RuleBasedStateMachine):
         """Return the present date, or a date some days after the day on which the survey was planned."""
         return date_of(self.day if late is None else min(self.day, max(1, self.planned_day + late)))
 
-    def plan_for(self, name, date, digest=""):
-        """Return the plan with which a tile was observed on a date; empty if there is none with this digest."""
-        present = b"" if name in self.unplanned else part(self.folder, self.names.index(name))
-        return self.naive.plan(name, date, present, digest)
-
     def observe_on(self, name, date, state, fails, listed, by_fraction, order, digest=None, good=()):
         """Record an observation; of the visits that failed, some are recorded as good instead."""
         rows = [{"tile": name, "date": date}]
@@ -138,7 +135,7 @@ class History(RuleBasedStateMachine):
                 "0123456789abcdef"
             ]
             rows[0]["plan"] = texts[digest % len(texts)]
-        visits = visits_of(self.plan_for(name, date, rows[0].get("plan", "")) or self.plan_for(name, date))
+        visits = visits_of(self.naive.plan(name, date, rows[0].get("plan", "")) or self.naive.plan(name, date))
         failed, good_rows = ({k % len(visits) for k in numbers if visits} for numbers in (fails, good))
         for k in range(len(visits)) if listed == "all targets" else failed:
             key = {"tile": name, "date": date}
@@ -148,22 +145,18 @@ class History(RuleBasedStateMachine):
         self.send(name, date, state, order.sample(rows, len(rows)), by_fraction)
 
     def is_accepted(self, name, date, state, failed=(), fraction=1.0, good=(), digest="", stated=()):
-        """Return whether an observation is later than its plan, states this plan, or corrects or repeats another one.
+        """Return whether an observation states its plan or is later than it, or corrects or repeats another one.
 
         ``stated`` contains the identifiers of the targets that the table names.
         """
-        before, plan = self.naive.of(name), self.plan_for(name, date, digest)
+        before, plan = self.naive.of(name), self.naive.plan(name, date, digest, stated)
         done = [one for one in before if one.state == "done" and one.date != date]
         if not plan or None in {*failed, *good}:
             return False  # the tile has another plan than when the table was written
         if any(one.date == date for one in before):
             known = self.naive.is_known(name, date, statements(state, failed, fraction, good))
             return known or not (state == "done" and done)
-        applied = [one.date for one in self.naive.observations() if (one.tile, one.date, one.plan) in self.applied]
-        used = any((one.tile, one.plan) == (name, plan) for word, one in self.naive.log if word == "observe")
-        is_later = used or date > max(applied, default="")
-        is_later &= date >= self.plans.get(name, ("", ""))[1] or {str(one[0]) for one in visits_of(plan)} <= {*stated}
-        return not done and bool(is_later or digest)
+        return not done
 
     @rule(tiles=st.lists(st.integers(0, 9), min_size=2, max_size=3), late=LATE)
     def observe_a_night(self, tiles, late):
@@ -171,7 +164,7 @@ class History(RuleBasedStateMachine):
         self.day += 1
         date = self.date(late)
         names = [*dict.fromkeys(self.names[tile % len(self.names)] for tile in tiles)]
-        plans = [self.plan_for(name, date) for name in names]
+        plans = [self.naive.plan(name, date) for name in names]
         accepted = all(self.is_accepted(name, date, "done") for name in names)
         if self.record(events(tile=names, date=date, state="done"), accepted):
             for name, plan in zip(names, plans, strict=True):
@@ -181,9 +174,9 @@ class History(RuleBasedStateMachine):
         """Record rows, which may be refused."""
         fraction = FRACTIONS[state] if by_fraction else 1.0
         digest = max(row.get("plan", "") for row in rows)
-        plan = self.plan_for(name, date, digest)
+        stated = {row["target"] for row in rows if "target" in row}
+        plan = self.naive.plan(name, date, digest, stated)
         failed, good = results_of(rows, plan)
-        stated = {row.get("target") for row in rows}
         accepted = self.is_accepted(name, date, state, failed, fraction, good, digest, stated)
         defaults = {"fraction": 1.0, "good": True}
         columns = {key: [one.get(key, defaults.get(key, "")) for one in rows] for one in rows for key in one}
@@ -264,11 +257,15 @@ class History(RuleBasedStateMachine):
         self.survey = self.plan(state)
         self.unplanned = {name for name in self.names if self.naive.state_of(name) == "dropped"}
         self.planned_day = self.day
-        for row, name in enumerate(self.names):
-            if name not in self.unplanned and self.plans.get(name, ("",))[0] != part(self.folder, row):
-                self.plans[name] = part(self.folder, row), date_of(self.day)
-                self.all_plans.setdefault(name, []).append(self.plans[name][0])
-        self.applied = {(one.tile, one.date, one.plan) for word, one in self.naive.log if word == "observe"}
+        n_files = len([*(self.folder / "events").glob("0*.json")])
+        if n_files > self.n_files:  # otherwise, the plan is the present plan
+            rows = [(row, name) for row, name in enumerate(self.names) if name not in self.unplanned]
+            plans = {name: part(self.folder, row) for row, name in rows}
+            self.naive.replan(date_of(self.day), plans)
+            for name, plan in plans.items():
+                if plan not in self.all_plans.setdefault(name, []):
+                    self.all_plans[name].append(plan)
+        self.n_files = n_files
         self.check_plan()
 
     @rule()

@@ -47,11 +47,14 @@ def test_a_bad_tile_is_not_a_failed_visit_of_its_targets(case, survey):
     assert state.left.sum() == survey.state(case[0]).left.sum()
 
 
-def test_an_observation_without_a_date_is_not_recorded_after_a_dated_plan(case, survey):
+def test_an_observation_without_a_date_is_not_recorded_if_its_plan_changed_after_a_date(case, survey):
     survey.record(events(tile=11, date="2026-01-03"))
+    survey.record(events(target=survey.tile(12)["target_id"][:2].tolist(), state="dropped"))
     survey = rs.plan_survey(*case, allocator="nearest", folder=survey.folder, visits=survey.state(case[0]), resume=True)
-    with pytest.raises(rs.InputError, match="later than 2026-01-03, .* got no date; record each night before"):
+    choices = r"must be one of [0-9a-f]{16} \(generation 1\), [0-9a-f]{16} \(generation 2 on 2026-01-01\), got no date"
+    with pytest.raises(rs.InputError, match=choices):
         survey.record(events(tile=12, state="done"))
+    assert survey.record(events(tile=12, state="done", generation=2))["n_events"] == 1
 
 
 def test_columns_without_a_role_are_listed(survey):

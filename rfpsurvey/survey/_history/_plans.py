@@ -1,0 +1,171 @@
+"""The plans with which tiles can have been observed, and what else is known before a table is recorded."""
+
+from bisect import bisect_right
+from collections.abc import Callable
+from functools import cached_property
+from itertools import accumulate
+from pathlib import Path
+
+import numpy as np
+
+from rfpsurvey._folder import read_index
+from rfpsurvey._readers import read_fits_bytes
+from rfpsurvey.errors import InputError, listed
+from rfpsurvey.survey._folder import part_name, read_request
+from rfpsurvey.survey._generations import Generation, generations_of, read_plans
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of
+from rfpsurvey.survey._history._replay import TileStates
+from rfpsurvey.survey._work import plan_digest
+
+
+class History:
+    """What is known about the tiles of a survey before a table is recorded."""
+
+    def __init__(self, survey, folder: Path, events: Events, groups: Callable[[str], dict[str, str]]):
+        self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
+        self.groups = groups
+        """Function of the name of a column that returns the group of each positioner, such as its petal, as text."""
+        self._names, self._places = np.asarray(survey.tiles["tile"]).astype(str).tolist(), places_of(survey.tiles)
+        self.row_of = {name: row for row, name in enumerate(self._names)}
+        for row, event in self.states.added.items():
+            self.row_of.setdefault(event.tile, row)
+        self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
+        added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
+        self.n_targets = max(len(survey.outcomes), *added, 0)
+        self._known, self._plans = read_index(folder), read_plans(folder)
+        self._used: dict[int, list[str]] = {}
+        for row, plan in events.plans:
+            self._used.setdefault(row, []).append(plan)
+        self.generations = generations_of(folder, read_request(folder))
+        self.n_applied = len(events.of_plan(survey.provenance).files)
+        self.past: dict[int, list[TileEvent]] = {}
+        """The events of each tile since the last one that canceled its events."""
+        for event in events.of_tiles():
+            if event.state == TileState.PLANNED:
+                self.past.pop(event.row, None)
+            self.past.setdefault(event.row, []).append(event)
+
+    def of(self, name: str) -> list[TileEvent]:
+        """Return the recorded observations of a tile."""
+        return self.states.of(self.row_of[name]) if name in self.row_of else []
+
+    def earlier(self, event: TileEvent) -> TileEvent | None:
+        """Return the recorded event of the same observation; None if there is none."""
+        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
+
+    def targets(self, row: int, plan: str) -> set[str]:
+        """Return the identifiers of the targets of a plan, without empty sky; all identifiers if it is missing."""
+        visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
+        return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
+
+    def plans(self, row: int) -> list[tuple[str, int]]:
+        """Return the checksums of the plans of a tile in their order, with the generations that introduced them."""
+        plans = list(self._plans.get(part_name(row), ()))
+        # an earlier version did not record when plans were made
+        plans = [(plan, 0) for plan in self._used.get(row, ()) if plan not in dict(plans)] + plans
+        if (present := self._present(row)) and (not plans or plans[-1][0] != present):
+            plans.append((present, self.generations[-1].number))
+        if row in self.states.added:  # plans for another position are not possible
+            plans = [(plan, first) for plan, first in plans if self._is_here(row, plan)]
+        return plans
+
+    def _present(self, row: int) -> str | None:
+        """Return the checksum of the present plan of a tile; None if there is none."""
+        entries = self._known.get(part_name(row)) if row < len(self._names) else None
+        return entries and entries[-1][1]
+
+    def _is_here(self, row: int, plan: str) -> bool:
+        """Return whether a plan was made for the present position of a tile."""
+        try:
+            cards = read_fits_bytes(self.events.plan(row, plan), part_name(row))[1]
+        except InputError:
+            return False
+        return np.array_equal([cards.get(name) for name in ("RA", "DEC", "POSANG")], self.place(row)[:3])
+
+    def choose_plan(self, row: int, name: str, date: str, named: dict[str, str], targets: set[str]) -> tuple[str, int]:
+        """Return the checksum of the plan with which a tile was observed, and the number of files of its generation.
+
+        The plan is that of the generation, or that with the digest, in ``named``. Otherwise, it is the last plan that
+        was made before the observation; if the table names the targets of all visits, it is a plan of these targets.
+        """
+        plans, generations = self.plans(row), self.generations
+        is_planned = self._present(row) in dict(plans)
+        if digest := named.get("plan"):
+            recorded = [event.plan for event in self.states.of(row) if date and event.date == date]
+            for plan in dict.fromkeys((*recorded, *(plan for plan, _ in reversed(plans)))):
+                if digest in (plan, self._digest(row, name, plan)):
+                    return plan, self._n_files(dict(plans).get(plan, 0), date)
+        if text := named.get("generation"):
+            valid = [generation for generation in generations if str(generation.number) == text]
+        elif date:
+            valid = self._valid_on(date)
+        else:
+            is_clear = len(dict(plans)) == 1 or not any(self._last_dates)
+            valid = generations if is_clear else []
+        if not plans or not (is_planned or named or (valid and valid[-1] is not generations[-1])):
+            raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
+        own = [plan for plan, first in plans if valid and first <= valid[-1].number]
+        by_targets = [plan for plan, _ in plans if targets and not named and self.targets(row, plan) <= targets]
+        if by_targets and not {*own[-1:]} & {*by_targets}:
+            return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
+        if digest or not own:
+            got = f"{'plan' if digest else 'generation'} {(digest or text)!r}" if named else date or "no date"
+            raise InputError(
+                f"the plan with which tile {name} was observed must be one of {self._listed(row, name)}, got {got}; "
+                "give its digest in a column plan, or its generation"
+            )
+        return own[-1], valid[-1].n_files
+
+    @cached_property
+    def _last_dates(self) -> list[str]:
+        """The last date of the observations with which the plan of each generation was made; empty if there are none.
+
+        Dates that were corrected later are not considered.
+        """
+        stated: dict[tuple, int] = {}
+        for number in range(1, len(self.events.files) + 1):
+            for event in self.events.of_file(number):
+                stated.setdefault(event.observation, number)
+        dates = sorted((stated[event.observation], event.date) for event in self.states.attempts)
+        latest = [*accumulate((date for _, date in dates), max, initial="")]
+        numbers = [number for number, _ in dates]
+        return [latest[bisect_right(numbers, generation.n_files)] for generation in self.generations]
+
+    def _valid_on(self, date: str) -> list[Generation]:
+        """Return the generations whose plans were made before an observation of a date."""
+        return [
+            generation
+            for generation, last in zip(self.generations, self._last_dates, strict=True)
+            if generation.date <= date and (not last or last < date)
+        ]
+
+    def _n_files(self, first: int, date: str) -> int:
+        """Return the number of files of the last generation until a date, but not before the generation ``first``."""
+        later = [generation for generation in self.generations if generation.number >= first]
+        valid = [generation for generation in self._valid_on(date) if date and generation in later]
+        return (valid[-1:] or later[:1] or self.generations[-1:])[0].n_files
+
+    def _digest(self, row: int, name: str, plan: str) -> str:
+        """Return the digest of a plan of a tile in the header of its file; empty text if the plan is missing."""
+        try:
+            visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
+        except InputError:
+            return ""
+        return plan_digest(name, visits["positioner"], visits["target_id"])
+
+    def _listed(self, row: int, name: str) -> str:
+        """Return text that lists the plans of a tile."""
+        dates = {generation.number: generation.date for generation in self.generations}
+        texts = [
+            f"{self._digest(row, name, plan)} (generation {first}{_on(dates.get(first, ''))})"
+            for plan, first in dict(self.plans(row)).items()
+        ]
+        return listed(texts)
+
+    def place(self, row: int) -> np.ndarray:
+        """Return the right ascension, declination, position angle (deg) and pass of a tile."""
+        return np.array(self.states.added[row].place) if row in self.states.added else self._places[row]
+
+
+def _on(date: str) -> str:
+    return f" on {date}" if date else ""
