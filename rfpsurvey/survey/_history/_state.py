@@ -242,6 +242,11 @@ class SurveyState:
         -------
         Events
             The events.
+
+        Raises
+        ------
+        InputError
+            If a file of events is missing or damaged.
         """
         return read_events(self.folder, self.events)
 
