@@ -12,6 +12,9 @@ from rfpsurvey._cli import _app, _main, _print
 from rfpsurvey.errors import number_of
 from rfpsurvey.survey import state_in, status_facts, survey_status, verify_survey
 
+MOST_FAILURES = 20
+"""Largest number of positioners with repeated failures that are printed."""
+
 
 @_main.app.command(cls=_main.Command)
 def status(
@@ -86,6 +89,9 @@ def status(
             short = found.copy()
             short.rename_columns(found.colnames, [name.removeprefix("n_") for name in found.colnames])
             _print.print_table(short)
+        if found.meta["failures"]:
+            print("positioners whose visits failed in several tiles:")
+            _print.print_table(QTable(rows=found.meta["failures"][:MOST_FAILURES]))
         if until is None and not found.meta["is_planned"]:
             _print.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "

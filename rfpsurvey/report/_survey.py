@@ -130,6 +130,9 @@ def page_of_status(status: Table, where: str) -> Page:
         Section("Classes", [Rows("The visits of each class of targets.", status, where or "survey_status")]),
         Section("Tiles", [Rows("The numbers of tiles of each pass by their state.", tiles)]),
     ]
+    if failures := status.meta["failures"]:
+        rows = Rows("Positioners whose visits failed in several tiles.", QTable(rows=failures))
+        sections.append(Section("Failures", [rows]))
     if areas := status.meta["areas"]:
         sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
     lead = (

@@ -75,7 +75,8 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). The ``meta`` contains ``tiles``
         (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
         ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
-        each date), and ``is_planned``, which states whether the last plan takes all events into account.
+        each date), ``failures`` (positioners whose visits failed in several tiles), and ``is_planned``, which states
+        whether the last plan takes all events into account.
 
     Raises
     ------
@@ -137,6 +138,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "tiles": _tiles(survey, state),
         "areas": _areas(state.catalog, values),
         "progress": progress,
+        "failures": _failures(state),
         "is_planned": bool(is_planned),
         "events": state.record,
     }
@@ -150,6 +152,19 @@ def status_facts(status: QTable) -> dict:
     dates = [date for date in status.meta["progress"]["date"] if date]
     first_and_last = f"{dates[0]} {dates[-1]}" if dates else None
     return facts_of(STATUS_FACTS, {**values, **tiles, "tiles": sum(tiles.values()), "dates": first_and_last})
+
+
+def _failures(state: SurveyState) -> list[dict]:
+    """Return the positioners whose visits failed in several observed tiles, most failures first."""
+    failed: dict[str, list[str]] = {}
+    for event in state.attempts:
+        for name, reason in event.failed.items() if event.state == TileState.DONE else ():
+            failed.setdefault(name, []).append(reason)
+    repeated = sorted((-len(reasons), name) for name, reasons in failed.items() if len(reasons) > 1)
+    return [
+        {"positioner": name, "n_failed": -n, "reasons": ", ".join(sorted({*failed[name]} - {""}))}
+        for n, name in repeated
+    ]
 
 
 def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:

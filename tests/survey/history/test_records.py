@@ -206,3 +206,12 @@ def test_wrong_numbers_of_records_are_refused(survey, number):
     survey.record(events(tile=11, date=NIGHT))
     with pytest.raises(rs.InputError, match="the number of the record to undo must be a whole number from 1 to 1, got"):
         survey.undo(number)
+
+
+def test_repeated_failures_of_a_positioner_are_summed(survey):
+    both = sorted({*survey.tile(11)["positioner"].astype(str)} & {*survey.tile(12)["positioner"].astype(str)})
+    tile, positioner = [11, 12, 11, 12, 11], ["", "", both[0], both[0], both[1]]
+    reason = ["", "", "broken", "not on target", ""]
+    survey.record(events(tile=tile, date="2026-01-03", positioner=positioner, reason=reason))
+    failures = survey.status().meta["failures"]
+    assert failures == [{"positioner": both[0], "n_failed": 2, "reasons": "broken, not on target"}]
