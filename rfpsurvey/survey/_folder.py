@@ -233,6 +233,8 @@ class Folder(RequestFolder):
         with locked(self.home, self.home / LOCK, wait=WAIT):
             events, today = self._state.present_events(), str(clock().date())
             before = generations_of(self.home, load_request(self.home / self.request_name))
+            if before[-1].number != self.generation - 1:
+                raise InputError(f"{self.home} must have the plan that was to be replaced, got one of another run")
             now = Generation(self.generation, today, len(self._state.events.files))
             recorded = [file for file in events.files if file.n_applied == before[-1].n_files]
             # observations can be reported late

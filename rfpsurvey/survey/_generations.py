@@ -183,5 +183,5 @@ def replace_plan(folder: Path) -> None:
         text = (folder / "plan.toml").read_text()
         for path in (folder / "inputs").iterdir():
             if path.name not in text:
-                path.unlink()
+                remove(path)
     remove(ready)

@@ -11,6 +11,7 @@ from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, refusal
 from rfpsurvey.pipeline import Outcome
 from rfpsurvey.survey._bookkeeping import classes_by_column, rows_by_class
+from rfpsurvey.survey._folder import read_request
 from rfpsurvey.survey._history._catalogs import columns_of, is_science
 from rfpsurvey.survey._history._events import WORDS, TileState, places_of
 from rfpsurvey.survey._history._replay import visits_of
@@ -41,6 +42,7 @@ STATUS_FACTS = (
     Fact("dropped", "dropped", "tiles", zero=True),
     Fact("planned", "not yet observed", "tiles", zero=True),
     Fact("dates", "first and last date"),
+    Fact("generation", "generation of the plan"),
     Fact("n_targets", "targets with requested visits", zero=True),
     Fact("n_complete", "complete", "n_targets", zero=True),
     Fact("n_requested", "visits requested", zero=True),
@@ -139,6 +141,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "areas": _areas(state.catalog, values),
         "progress": progress,
         "failures": _failures(state),
+        "generation": read_request(state.folder).get("generation", 1),
         "is_planned": bool(is_planned),
         "events": state.record,
     }
@@ -151,7 +154,8 @@ def status_facts(status: QTable) -> dict:
     tiles = {name: sum(row[name] for row in status.meta["tiles"]) for name in WORDS.values()}
     dates = [date for date in status.meta["progress"]["date"] if date]
     first_and_last = f"{dates[0]} {dates[-1]}" if dates else None
-    return facts_of(STATUS_FACTS, {**values, **tiles, "tiles": sum(tiles.values()), "dates": first_and_last})
+    values |= {"generation": status.meta["generation"], "dates": first_and_last}
+    return facts_of(STATUS_FACTS, {**values, **tiles, "tiles": sum(tiles.values())})
 
 
 def _failures(state: SurveyState) -> list[dict]:

@@ -120,6 +120,23 @@ def test_changed_options_are_listed_with_the_records(recorded):
     assert row["note"] == "rule.retries: not given -> 2"
 
 
+def test_a_plan_does_not_replace_the_plan_of_another_run(recorded, monkeypatch):
+    put = Folder.put_part
+
+    def replan_and_put(folder, tile, data):
+        if tile == 2 and folder.is_beside:
+            monkeypatch.setattr(Folder, "put_part", put)
+            shutil.rmtree(recorded.folder / "next")
+            rs.Survey.read(recorded.folder).replan()
+            (recorded.folder / "next/tiles/000").mkdir(parents=True)
+        put(folder, tile, data)
+
+    monkeypatch.setattr(Folder, "put_part", replan_and_put)
+    with pytest.raises(rs.InputError, match="must have the plan that was to be replaced, got one of another run"):
+        recorded.replan()
+    assert rs.Survey.read(recorded.folder).status().meta["generation"] == 2
+
+
 def test_two_writers_wait_for_each_other(survey, monkeypatch):
     begun, ends = threading.Event(), threading.Event()
 

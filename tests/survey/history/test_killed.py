@@ -51,7 +51,7 @@ def test_killed_at_random_moments(tmp_path, rng, n):
         begin = time.perf_counter()
         function(tmp_path / "whole", *arguments)
         seconds[k], expected[k] = time.perf_counter() - begin, content(tmp_path / "whole")
-    assert len(expected[8]) == 30
+    assert len(expected[8]) == 33
     killed, run = 0, 0
     while killed < n:
         run += 1
