@@ -7,7 +7,7 @@ import time
 
 import numpy as np
 import pytest
-from living import content, events, instrument, targets, tiling
+from living import content, differences, events, instrument, targets, tiling
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState
@@ -42,7 +42,7 @@ STEPS = [
 
 
 @pytest.mark.filterwarnings("ignore:.*recorded positions")
-@pytest.mark.parametrize("n", [6, pytest.param(50, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n", [6, pytest.param(60, marks=pytest.mark.exhaustive)])
 def test_killed_at_random_moments(tmp_path, rng, n):
     """Each command is killed up to four times, and then repeated until it ends; ``n`` processes are killed."""
     context = multiprocessing.get_context("fork")
@@ -66,6 +66,35 @@ def test_killed_at_random_moments(tmp_path, rng, n):
                 process.join()
             function(folder, *arguments)
             assert content(folder) == expected[k], k
+
+
+@pytest.mark.parametrize("n", [2, pytest.param(10, marks=pytest.mark.exhaustive)])
+def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
+    """The record and the plan are whole, whichever was first, and the rest is planned as from the recorded state."""
+    context = multiprocessing.get_context("fork")
+    for function, *arguments in STEPS[:2]:
+        function(tmp_path / "first", *arguments)
+    begin = time.perf_counter()
+    plan(shutil.copytree(tmp_path / "first", tmp_path / "timed"))
+    seconds = time.perf_counter() - begin
+    for number in range(n):
+        folder = shutil.copytree(tmp_path / "first", tmp_path / f"survey-{number}")
+        table = events(tile=[14, 15], date="2026-01-06", positioner="", state=["done", "bad"])
+        processes = [context.Process(target=plan, args=(folder,)), context.Process(target=record, args=(folder, table))]
+        for process in processes:
+            process.start()
+        processes[0].join(rng.uniform(0, 1.2 * seconds))
+        processes[0].kill()
+        for process in processes:
+            process.join()
+        assert processes[1].exitcode == 0
+        assert len(rs.survey.verify_survey(folder)) == 0
+        plan(folder)
+        survey = rs.Survey.read(folder)
+        again = rs.plan_survey(*CASE, visits=survey.state(CASE[0]), allocator="nearest")
+        assert differences(survey, again) == []
+        assert survey.tiles["state"].tolist()[:5] == ["done", "planned", "partly", "done", "planned"]
+        assert len(rs.survey.verify_survey(folder)) == 0
 
 
 @pytest.mark.filterwarnings("ignore:.*recorded positions")
