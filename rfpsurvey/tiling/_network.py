@@ -29,11 +29,10 @@ def network_flow(problem: TilingProblem) -> TilingState:
 
     By default, the number of tiles is that of a hexagonal lattice that covers the targets.
     """
-    if problem.n_tiles is not None and problem.completeness is None:
-        return _attempt(problem, problem.n_tiles)
-    if problem.completeness is None:
-        return _attempt(problem, _covering_number(problem))
-    return _fewest(problem)
+    if problem.completeness is not None:
+        return _fewest(problem)
+    n = len(_lattice(problem, 2.0, np.sqrt(3) * problem.radius)) if problem.n_tiles is None else problem.n_tiles
+    return _attempt(problem, n)
 
 
 def _fewest(problem: TilingProblem) -> TilingState:
@@ -75,26 +74,20 @@ def _attempt(problem: TilingProblem, n: int) -> TilingState:
     return state
 
 
-def _covering_number(problem: TilingProblem) -> int:
+def _lattice(problem: TilingProblem, margin: float, pitch: float) -> np.ndarray:
+    """Return the centers of a hexagonal lattice with targets, up to ``margin`` radii beyond the circle of targets."""
     center, reach = problem.circle()
-    pitch = np.sqrt(3) * problem.radius
-    centers = lattice(center, reach + 2 * problem.radius, pitch, np.zeros(2))
-    return np.count_nonzero(problem.visits_near(problem.where.limits.fit(centers, problem.radius)))
+    centers = lattice(center, reach + margin * problem.radius, pitch, np.zeros(2))
+    centers = problem.where.limits.fit(centers, problem.radius)
+    return centers[problem.visits_near(centers) > 0]
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     """Return n centers spread evenly over the targets: a hexagonal lattice whose pitch gives n tiles with targets."""
-    center, reach = problem.circle()
-
-    def make(pitch):
-        centers = lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2))
-        centers = problem.where.limits.fit(centers, problem.radius)
-        return centers[problem.visits_near(centers) > 0]
-
-    low, high = 0.0, 3 * (reach + problem.radius)
+    low, high = 0.0, 3 * (problem.circle()[1] + problem.radius)
     pitch = np.sqrt(3) * problem.radius
     for _ in range(25):
-        centers = make(pitch)
+        centers = _lattice(problem, 1.5, pitch)
         if len(centers) == n:
             return centers
         if len(centers) > n:

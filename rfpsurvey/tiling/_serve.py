@@ -83,36 +83,24 @@ class FreeFibers:
         keys = [np.arange(len(near))]
         if self.neighbors is not None:
             indptr, other = self.neighbors
-            degree = self._degrees(near, state)
+            first, size = indptr[near], indptr[near + 1] - indptr[near]
+            of_pair = np.repeat(np.arange(len(near)), size)
+            too_close = other[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
+            degree = np.bincount(of_pair[np.isin(too_close, near)], minlength=len(near))
             keys.append(degree)
         if state.chances is not None:
             keys.append(state.chances[near])
         if self.priority is not None:
             keys.append(-self.priority[near])
         order = np.lexsort(keys)
-        if self.neighbors is None:
-            return near[np.sort(order[: self.fibers])]
-        taken = np.zeros(len(near), dtype=bool)
-        taken[degree == 0] = True
-        blocked, where = set(), near.tolist()
-        for k in order[degree[order] > 0].tolist():
-            here = where[k]
-            if here not in blocked:
-                taken[k] = True
-                blocked.update(other[indptr[here] : indptr[here + 1]].tolist())
-        order = order[taken[order]]
+        if self.neighbors is not None:
+            taken, blocked = degree == 0, set()
+            for k in order[degree[order] > 0].tolist():
+                if near[k] not in blocked:
+                    taken[k] = True
+                    blocked.update(other[first[k] : first[k] + size[k]].tolist())
+            order = order[taken[order]]
         return near[np.sort(order[: self.fibers])]
-
-    def _degrees(self, near, state):
-        """Return, for each target, the number of targets that still require a visit and are too close to it."""
-        indptr, other = self.neighbors
-        degree = indptr[near + 1] - indptr[near]
-        some = np.flatnonzero(degree)
-        inside = set(near[some].tolist())
-        degree = degree.copy()
-        for k in some.tolist():
-            degree[k] = sum(o in inside for o in other[indptr[near[k]] : indptr[near[k] + 1]].tolist())
-        return degree
 
 
 class FocalPlaneFibers(FieldsOfTiles):
