@@ -30,16 +30,10 @@ class Tally:
         self.n_observed = np.zeros((n_passes, len(names)), dtype=np.int64)
         self.n_complete = np.zeros_like(self.n_observed)
 
-    def begin(self, done: np.ndarray, complete: np.ndarray) -> None:
-        """Add visits that were made before the first tile to the counts of the first pass."""
-        n = len(self.names)
-        self.n_observed[0] += np.bincount(self.class_of, weights=done, minlength=n).astype(np.int64)
-        self.n_complete[0] += np.bincount(self.class_of[complete], minlength=n)
-
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Add the visits of one tile to the counts.
+        """Add visits to the counts.
 
-        ``number`` is the index of the pass of the tile, and ``slot`` contains the slots of the visited targets.
+        ``number`` is the index of the pass of the visits, and ``slot`` contains the slot of the target of each visit.
         ``complete`` lists the targets that have now received all requested visits, and ``last`` is the index of the
         pass of the last visit to each of these targets.
         """
@@ -110,7 +104,8 @@ class Bookkeeping:
         if len(made):  # visits that were made before belong to the first pass
             self.flags[made] |= DONE
             for tally in self.tallies.values():
-                tally.begin(self.counted(), made[(self.left[made] == 0) & (self.wanted[made] > 0)])
+                complete = made[(self.left[made] == 0) & (self.wanted[made] > 0)]
+                tally.add(0, np.repeat(made, self.counted()[made]), complete, 0)
 
     def open_job(self, request, tile: int):
         """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""

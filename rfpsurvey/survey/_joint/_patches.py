@@ -4,6 +4,7 @@ The words *candidate* and *set* are explained in the module that defines `Networ
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rfpsurvey.allocation import WeightedProblem
 from rfpsurvey.survey._joint._network import Network
@@ -61,38 +62,26 @@ class Patches:
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
         self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
-        of_entry = label[network.own[network.matrix.indices]]
-        row = np.repeat(np.arange(len(network.most)), np.diff(network.matrix.indptr))
-        inside = of_entry >= 0
-        low, high = np.full(len(network.most), self.n), np.full(len(network.most), -1)
-        np.minimum.at(low, row[inside], of_entry[inside])
-        np.maximum.at(high, row[inside], of_entry[inside])
-        self.crosses = low < high
-        self.crosses[len(low) - network.n_least :] = True  # bounds always use the prices of minima
+        patch = label[network.own]
+        inside = np.flatnonzero(patch >= 0)
+        part = csr_array((np.ones(len(inside)), (inside, patch[inside])), shape=(len(patch), max(self.n, 1)))
+        self._used = network.matrix @ part  # number of candidates of each set in each patch
+        self.crosses = np.diff(self._used.indptr) > 1
+        self.crosses[len(self.crosses) - network.n_least :] = True  # bounds always use the prices of minima
         # positioners with only one candidate always use this candidate
         only = network.start[:-1][label < 0]
         x = np.zeros(len(network.target))
         x[only] = 1.0
         self.rest = network.most - network.matrix @ x
         self._only = only
-        crossing = self.crosses[row] & inside
-        self._links = np.unique(row[crossing] * self.n + of_entry[crossing])
 
     def colors(self) -> list[list[int]]:
         """Return groups of patches such that no set contains candidates of two patches of the same group."""
-        row, patch = np.divmod(self._links, max(self.n, 1))
-        neighbors = [set() for _ in range(self.n)]
-        starts = np.flatnonzero(np.append(True, np.diff(row) != 0)) if len(row) else np.empty(0, dtype=int)
-        found = set()
-        for group in np.split(patch, starts[1:]):
-            found.add(tuple(group.tolist()))
-        for group in found:
-            for one in group:
-                neighbors[one].update(group)
-        color = np.full(self.n, -1)
-        for one in range(self.n):
-            taken = {int(color[other]) for other in neighbors[one]}
-            color[one] = next(k for k in range(self.n + 1) if k not in taken)
+        used, color = self._used[self.crosses], np.full(self.n, -1)
+        neighbors = (used.T @ used).tocsr()
+        for patch in range(self.n):
+            taken = {*color[neighbors.indices[neighbors.indptr[patch] : neighbors.indptr[patch + 1]]].tolist()}
+            color[patch] = next(k for k in range(self.n + 1) if k not in taken)
         return [np.flatnonzero(color == k).tolist() for k in range(int(color.max(initial=-1)) + 1)]
 
     def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:

@@ -163,24 +163,21 @@ def table_of(search: Search, names: list[str]) -> QTable:
         for k, level in enumerate(search.levels.tolist()):
             visits, bound = int(step.visits[k]), max(float(step.bound[k]), float(step.visits[k]))
             gap = 1.0 - visits / bound if bound else 0.0
-            rows.append((step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)))
-    table = QTable(rows=rows, names=("iteration", "priority", "n_visits", "bound", "gap", "seconds"))
-    if search.steps[-1].complete is not None:
-        of_steps = [(step.complete, np.maximum(step.complete, step.bound_complete)) for step in search.steps]
-        columns = (np.concatenate(values) for values in zip(*of_steps, strict=True))
-        for name, values in zip(("n_complete", "bound_complete"), columns, strict=True):
-            table[name] = values.astype(np.int64)
-    n = len(search.levels)
-    first, last, others = rows[:n], rows[-n:], {name: table[name][-n:] for name in table.colnames[6:]}
-    if len(search.limits):
-        others["bound_without_requirements"] = np.maximum(search.bounds_of_all, search.visits)
-    more = [{name: int(values[k]) for name, values in others.items()} for k in range(n)]
+            row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
+            if step.complete is not None:
+                row += int(step.complete[k]), int(max(step.complete[k], step.bound_complete[k]))
+            rows.append(row)
+    columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", "n_complete", "bound_complete")
+    table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)
+    for k, (before, row) in enumerate(zip(rows[:n], rows[-n:], strict=True)):
+        level = {"priority": row[1], "n_visits_before": before[2], "n_visits": row[2], "bound": row[3], "gap": row[4]}
+        level |= dict(zip(columns[6:], row[6:], strict=False))
+        if len(search.limits):
+            level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
+        levels.append(level)
     table.meta["summary"] = {
         "n_iterations": search.iteration,
-        "levels": [
-            {"priority": name, "n_visits_before": before[2], "n_visits": visits, "bound": bound, "gap": gap, **other}
-            for before, (_, name, visits, bound, gap, _), other in zip(first, last, more, strict=True)
-        ],
-        "gap": max((row[4] for row in last), default=0.0),
+        "levels": levels,
+        "gap": max(level["gap"] for level in levels),
     }
     return table

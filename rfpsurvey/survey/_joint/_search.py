@@ -89,7 +89,7 @@ class JointSearch:
         self.levels = levels_of(network.n_classes)
         self.bounds = np.full(len(self.levels), np.inf)
         self.bounds_of_all = self.bounds.copy()
-        self.iteration, self.spent, self._begin = 0, 0.0, perf_counter()
+        self.iteration, self.spent, self._reserved, self._begin = 0, 0.0, 0.0, perf_counter()
         self.steps: list[Step] = []
 
     @property
@@ -103,9 +103,14 @@ class JointSearch:
         small = bool((self.gaps <= self.options.gap).all() and self._may_end)
         return small or self.iteration >= self.options.iterations or self.out_of_time()
 
+    @property
+    def _limit(self) -> float:
+        """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
+        return self.options.seconds * (1.0 - self._reserved)
+
     def out_of_time(self) -> bool:
-        """Return whether the time limit has passed."""
-        return self.seconds >= self.options.seconds
+        """Return whether the time limit has passed, without the time that is reserved for the goals."""
+        return self.seconds >= self._limit
 
 
 class Search(JointSearch):
@@ -176,15 +181,6 @@ class Search(JointSearch):
     def _may_end(self) -> bool:
         """Whether the search can end when the gaps are small: all bounds are known."""
         return bool(np.isfinite(self.bounds).all())
-
-    def out_of_time(self) -> bool:
-        """Return whether the time limit has passed, without the time that is reserved for the goals."""
-        return self.seconds >= self._limit
-
-    @property
-    def _limit(self) -> float:
-        """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
-        return self.options.seconds * (1.0 - self._reserved)
 
     def _out_of_time_for_prices(self) -> bool:
         """Return whether the time for computing the prices before the first iteration has passed."""

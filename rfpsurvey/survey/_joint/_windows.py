@@ -56,17 +56,14 @@ class WindowSearch(JointSearch):
     @property
     def counts(self) -> np.ndarray:
         """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
-        return self._by_level(self._done)
+        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        np.add.at(by_class, self.network.rank_of_target, self._done)
+        return np.cumsum(by_class, axis=0)[self.levels]
 
     @property
     def visits(self) -> np.ndarray:
         """Number of visits of each level."""
         return self.counts[:, 1]
-
-    def _by_level(self, done: np.ndarray) -> np.ndarray:
-        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
-        np.add.at(by_class, self.network.rank_of_target, done)
-        return np.cumsum(by_class, axis=0)[self.levels]
 
     def _counts_of_targets(self) -> np.ndarray:
         """Return whether each target is complete, and its number of visits, in the first plan."""
