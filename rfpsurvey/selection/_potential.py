@@ -104,16 +104,9 @@ def potential_assignments(
         raise InputTypeError(f"survey must be a Survey, got {short(survey)}")
     if not callable(progress):
         check_switch(progress, "progress")
-    request = prepare_request(
-        catalog,
-        instrument,
-        tiles,
-        allocator="nearest",
-        passes=passes,
-        epoch=epoch,
-        lost_in_collision=False,
-        executor=executor,
-    )
+    options = {"allocator": "nearest", "lost_in_collision": False}
+    options |= {"passes": passes, "epoch": epoch, "executor": executor}
+    request = prepare_request(catalog, instrument, tiles, **options)
     found = PotentialAssignments(request, survey, executor, progress)
     if survey is not None:
         _check_survey(request, survey)
@@ -224,9 +217,7 @@ class PotentialAssignments:
         """Yield the rows of each tile, sorted by point, then by positioner."""
         names, ids = np.asarray(self.request.tiling.table["tile"]), self.request.instrument.focal_plane.id
         for tile, own, point in self._pairs():
-            rows = np.empty(len(own), dtype=self._dtype)
-            rows["tile"], rows["positioner"], rows["point"] = names[tile], ids[own], point
-            yield rows
+            yield np.rec.fromarrays([np.full(len(own), names[tile]), ids[own], point], dtype=self._dtype)
 
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""

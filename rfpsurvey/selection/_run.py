@@ -74,14 +74,10 @@ def run(
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
                 tell(tiles * (1 + first + len(own)), new=generations is not None and not is_known)
-        source = request.source
-        result = SelectionProbabilities(
-            source.ids(),
-            source.by_row(builder.wanted if generations is None else generations[-1].request.builder.wanted),
-            source.by_row(n_tiles),
-            source.by_row(bits),
-            realization_table(request, seeds, np.concatenate(counts)),
-        )
+        source, last = request.source, builder if generations is None else generations[-1].request.builder
+        columns = [source.by_row(values) for values in (last.wanted, n_tiles, bits)]
+        table = realization_table(request, seeds, np.concatenate(counts))
+        result = SelectionProbabilities(source.ids(), *columns, table)
         if folder is not None:
             with folder.writing(NAME) as temporary:
                 result.write(temporary)
@@ -151,9 +147,8 @@ def _plan_rounds(
 
 def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
     """Return a table with a row for each realization, and with the provenance in its meta."""
-    table = QTable({"realization": np.arange(len(seeds)), "seed": np.array(seeds, dtype=np.int64)})
-    for name, column in zip(("n_assigned", "n_lost", "n_observed"), counts.T, strict=True):
-        table[name] = column
+    columns = [np.arange(len(seeds)), np.array(seeds, dtype=np.int64), *counts.T]
+    table = QTable(columns, names=[*REALIZATIONS])
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     n_tiles = len(request.tiling) - len(request.dropped)
     table.meta = {

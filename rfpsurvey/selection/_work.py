@@ -94,18 +94,15 @@ def is_reached(job: Job) -> np.ndarray:
 
 def plan_alone(given: BlockJob) -> BlockDone:
     """Plan a tile for a single realization, with the function that plans the tiles of surveys."""
-    done = work(given.job)
-    mask = np.zeros(len(given.left), dtype=np.uint32)
+    done, ids = work(given.job), given.job.model.instrument.focal_plane.id
     observed = (done.target >= 0) & done.observed
-    mask[done.target[observed]] = 1
-    spends = given.left[:, 0] > 0  # other targets are only standards or sky positions
-    mask[~spends] = 0
-    good = []
-    for rows in given.failed or ():
-        names = given.job.model.instrument.focal_plane.id[rows]
-        good.append(np.zeros_like(mask))
-        good[-1][done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
-        good[-1][~spends] = 0
+
+    def mask_of(counted: np.ndarray) -> np.ndarray:
+        visited = np.isin(np.arange(len(given.left)), done.target[counted])
+        return (visited & (given.left[:, 0] > 0)).astype(np.uint32)  # others are only standards or sky positions
+
+    mask = mask_of(observed)
+    good = [mask_of(observed & ~np.isin(done.visits["positioner"], ids[rows])) for rows in given.failed or ()]
     lost = done.counts["n_colliding_assigned"] if given.job.model.lost_in_collision else 0
     return BlockDone(mask, np.array([[done.counts["n_assigned"], lost]]), good)
 

@@ -128,13 +128,8 @@ SURVEY_FACTS = (
 
 def survey_facts(survey) -> dict:
     """Return the labels and values of the numbers of a survey, and the number of targets with each outcome."""
-    return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": _unusual_tiles(survey.tiles)})
-
-
-def _unusual_tiles(tiles) -> dict:
-    """Return the tiles without targets in their fields, and those at right ascension and declination 0."""
+    tiles, names = survey.tiles, np.asarray(survey.tiles["tile"])
     at_zero = (np.asarray(tiles["ra"]) == 0) & (np.asarray(tiles["dec"]) == 0)
     found = {"without targets": np.isnan(tiles["completeness"]), "at ra 0, dec 0": at_zero}
-    return {
-        label: brief(tuple(np.asarray(tiles["tile"])[rows].tolist())) for label, rows in found.items() if rows.any()
-    }
+    unusual = {label: brief(tuple(names[rows].tolist())) for label, rows in found.items() if rows.any()}
+    return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": unusual})

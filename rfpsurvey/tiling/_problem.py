@@ -151,17 +151,14 @@ class TilingState:
             problem.tell(len(self.rows), self.completeness)
         return served
 
-    def give_up(self, center: np.ndarray) -> np.ndarray:
-        """Stop placing tiles for the targets around a center where a tile observed no target; return these targets."""
-        problem = self.problem
-        near = problem.index.near(center, problem.radius, self.weight)
-        if len(near) == 0:
-            near = np.flatnonzero(self.weight > 0)
-        closest = np.argmin(np.linalg.norm(problem.index.vectors[near] - center, axis=1))
-        reach = np.linalg.norm(problem.index.vectors[near] - problem.index.vectors[near[closest]], axis=1)
-        near = near[reach <= 0.1 * problem.radius]
-        self.hopeless[near] = True
-        return near
+    def give_up(self, center: np.ndarray) -> None:
+        """Stop placing tiles for the targets around a center where a tile observed no target."""
+        problem, weight = self.problem, self.weight
+        near = problem.index.near(center, problem.radius, weight)
+        near = near if len(near) else np.flatnonzero(weight > 0)
+        vectors = problem.index.vectors[near]
+        closest = vectors[np.argmin(np.linalg.norm(vectors - center, axis=1))]
+        self.hopeless[near[np.linalg.norm(vectors - closest, axis=1) <= 0.1 * problem.radius]] = True
 
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:

@@ -103,6 +103,7 @@ class FreeFibers:
         return near[np.sort(order[: self.fibers])]
 
 
+@dataclass(eq=False)
 class FocalPlaneFibers(FieldsOfTiles):
     """The positioners of an instrument with an allocator; tiles are planned as in a survey.
 
@@ -114,29 +115,27 @@ class FocalPlaneFibers(FieldsOfTiles):
         The targets, and the allocator with its options.
     fibers : Fibers
         Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
-    tiles : Tiling or float
+    tiling : Tiling or float
         The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
     seed : int
         Seed of the random numbers; each tile has its own stream.
-    reference : Time, optional
+    reference : Time or None
         Epoch of the targets, if they are moved to the times of the tiles.
     """
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        builder: FieldBuilder,
-        fibers: Fibers,
-        tiles: Tiling | float,
-        seed: int,
-        reference: Time | None = None,
-    ):
-        self.instrument, self.builder, self.fibers = instrument, builder, fibers
-        self.tiling, self.seed, self.reference, self.source = tiles, seed, reference, builder.source
-        if not isinstance(tiles, Tiling):
+    instrument: Instrument
+    builder: FieldBuilder
+    fibers: Fibers
+    tiling: Tiling | float
+    seed: int
+    reference: Time | None
+
+    def __post_init__(self):
+        self.source = self.builder.source
+        if not isinstance(self.tiling, Tiling):
             self.places, self.conditions, self.reference = None, None, None
-        lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
-        self.means = f"the allocator {builder.options.name} plans each tile; a target whose arm collides {lost}"
+        lost = "is not observed" if self.fibers.lost_in_collision else "counts as observed"
+        self.means = f"the allocator {self.builder.options.name} plans each tile; a target whose arm collides {lost}"
 
     def __call__(self, center, near, state):
         """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""

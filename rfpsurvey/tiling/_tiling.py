@@ -198,16 +198,10 @@ class Tiling:
         meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
         silent = assume_units or is_plain or bool(said) or is_of_pfs(table)
         n, found = len(table), read_angles(table, names, units, silent=silent)
-        result = QTable(
-            {
-                "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
-                "ra": found["ra"],
-                "dec": found["dec"],
-                "position_angle": found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names),
-                "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
-            },
-            meta=meta,
-        )
+        tile = to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n)
+        angle = found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names)
+        number = table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64)
+        result = QTable([tile, found["ra"], found["dec"], angle, number], names=COLUMNS, meta=meta)
         for name in table.colnames:
             if name not in names.values() and name not in COLUMNS:
                 result[name] = table[name]

@@ -53,11 +53,12 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
 class Patches:
     """The patches of one division of the positioners, and the sets that contain candidates of several patches.
 
-    ``members`` contains the positioners of each patch.
+    ``members`` contains the positioners of each patch, and ``only`` the candidates of the positioners that have a
+    single candidate, and therefore always use it.
     """
 
     def __init__(self, network: Network, label: np.ndarray):
-        self.network, self.label = network, label
+        self.network, self.label, self.only = network, label, network.start[:-1][label < 0]
         order = np.argsort(label, kind="stable")
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
@@ -68,12 +69,9 @@ class Patches:
         self._used = network.matrix @ part  # number of candidates of each set in each patch
         self.crosses = np.diff(self._used.indptr) > 1
         self.crosses[len(self.crosses) - network.n_least :] = True  # bounds always use the prices of minima
-        # positioners with only one candidate always use this candidate
-        only = network.start[:-1][label < 0]
         x = np.zeros(len(network.target))
-        x[only] = 1.0
+        x[self.only] = 1.0
         self.rest = network.most - network.matrix @ x
-        self._only = only
 
     def colors(self) -> list[list[int]]:
         """Return groups of patches such that no set contains candidates of two patches of the same group."""
@@ -149,10 +147,6 @@ class Patches:
         sets = sets[~self.crosses[sets]]
         is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
         return WeightedProblem(start, value[rows[is_open]], *sets, None, NODES_OF_BOUND, GAP, deadline)
-
-    def value_of_rest(self, value: np.ndarray) -> float:
-        """Return the sum of the values of the positioners that have only one candidate."""
-        return float(value[self._only].sum())
 
 
 def _without_full_sets(part, rest, ends, usable=True, is_rule=False):

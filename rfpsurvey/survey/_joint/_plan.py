@@ -80,12 +80,11 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             tell(n, new=False)
         network, directions, subpriority = list_all(request, plans, fixed, executor)
         goals = [] if has_cadences else goals_of(request, network, subpriority)
-        given = network, place(network, plans)
-        search = (
-            WindowSearch(*given, request)
-            if has_cadences
-            else Search(*given, directions, request.joint, request.seed, stored, len(goals))
-        )
+        chosen = place(network, plans)
+        if has_cadences:
+            search = WindowSearch(network, chosen, request)
+        else:
+            search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
         if stored is None:
             search.begin()
             if request.joint.inform is not None:
@@ -127,7 +126,7 @@ def _store(folder, network, search: Search) -> None:
     }
     if len(search.limits):
         columns |= {"bounds_of_all": search.bounds_of_all, "limits": search.limits}
-    columns |= {f"price{k}": price for k, price in enumerate(search.prices) if price is not None}
+    columns |= {f"price{k}": prices.price for k, prices in enumerate(search.prices) if prices is not None}
     content = io.BytesIO()
     np.savez(content, **columns)
     folder.put_file(STATE, content.getvalue())
@@ -135,18 +134,10 @@ def _store(folder, network, search: Search) -> None:
 
 def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[str, np.ndarray] | None:
     """Return the arrays of the stored state of a search; None if there is no state, or if it is damaged."""
-    per_level, n = ("f8", (n_levels,)), n_tiles * n_positioners
-    expected = {
-        "slot": ("i8", (n,)),
-        "side": ("i1", (n,)),
-        "numbers": ("f8", (3,)),
-        "bounds": per_level,
-        "next_size": per_level,
-        "steps": ("f8", (None, 1 + 2 * n_levels)),
-        "bounds_of_all?": per_level,
-        "limits?": ("f8", (None,)),
-        **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
-    }
+    per_level, per_set, n = ("f8", (n_levels,)), ("f8", (None,)), n_tiles * n_positioners
+    expected = {"slot": ("i8", (n,)), "side": ("i1", (n,)), "numbers": ("f8", (3,))}
+    expected |= {"bounds": per_level, "next_size": per_level, "steps": ("f8", (None, 1 + 2 * n_levels))}
+    expected |= {"bounds_of_all?": per_level, "limits?": per_set, **{f"price{k}?": per_set for k in range(n_levels)}}
     found = folder.load(STATE.removesuffix(".npz"), **expected)
     if found is None:
         return None

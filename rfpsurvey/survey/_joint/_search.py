@@ -142,15 +142,11 @@ class Search(JointSearch):
         # The size that the patches must reach before the bound of each level is computed again; an iteration that does
         # not lower the bound increases this size.
         self.next_size = np.zeros(len(self.levels))
-        self._prices = [None] * len(self.levels)
+        self.prices: list[RowPrices | None] = [None] * len(self.levels)
+        """Prices of the sets for each level; None for a level without prices."""
         self._paths = Paths(network)
         if state is not None:
             self._restore(state)
-
-    @property
-    def prices(self) -> list:
-        """Prices of the sets for each level; None for a level without prices."""
-        return [None if one is None else one.price for one in self._prices]
 
     def _restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue a search from its stored state."""
@@ -243,10 +239,10 @@ class Search(JointSearch):
         return (self.network.rank <= self.levels[level]).astype(float)
 
     def _prices_of(self, level) -> RowPrices:
-        if self._prices[level] is None:
+        if self.prices[level] is None:
             network = self._bounded
-            self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
-        return self._prices[level]
+            self.prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
+        return self.prices[level]
 
     def _bound(self, level, patches, executor):
         """Lower the bound of a level by solving the patches as integer programs.
@@ -261,7 +257,7 @@ class Search(JointSearch):
         value = self._weights(level) - network.matrix.T @ cross
         deadline = self._deadline()
         problems = [patches.alone(k, value, deadline) for k in range(patches.n)]
-        total = float(cross @ network.most) + patches.value_of_rest(value)
+        total = float(cross @ network.most) + float(value[patches.only].sum())
         total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
             total += bound
@@ -279,7 +275,7 @@ class Search(JointSearch):
 
     def _improve(self, patches, executor):
         """Improve the plan patch by patch, and prefer targets with low prices among plans of equal value."""
-        network, price = self.network, self._prices[-1]
+        network, price = self.network, self.prices[-1]
         scarce = np.zeros(len(network.target))
         if price is not None:
             n = len(network.most)

@@ -233,34 +233,21 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)
     place_of = np.full(len(network.target), -1)
-    place_of[real] = place.reshape(-1)
+    place_of[real] = place = place.reshape(-1)
     own = request.source.to_slots(row)
     # standards, sky positions, and copies of targets that are used only in these roles have no cadence
     counted = network.rank_of_target < network.n_classes
     cadence = np.full(n_targets, -1)
     cadence[counted] = own[network.slot[counted]]
     cliques = network.matrix[: network.n_cliques]
-    dates = kernels.Dates(
-        np.where(cadence < 0, len(epochs) - 1, cadence),
-        np.concatenate([[0], np.cumsum([one.shape[1] for one in epochs])]),
-        low,
-        high,
-        n_exp.astype(np.int64),
-        limit,
-        _starts(places // n_tiles, n_targets),
-        places % n_tiles,
-        _starts(place.reshape(-1), len(places)),
-        real[order],
-        cliques.indptr.astype(np.int64),
-        cliques.indices.astype(np.int64),
-        network.usable,
-        network.start[1:] - 1,
-        network.rank_of_target.astype(np.int64),
-        request.days[in_time],
-        request.brightness[in_time],
-        NIGHT,
-    )
-    return dates, place_of, time_of
+    first_epoch = np.cumsum([0, *(one.shape[1] for one in epochs)])
+    of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
+    of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
+    of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
+    of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
+    of_tiles = request.days[in_time], request.brightness[in_time], NIGHT
+    cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
+    return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
 
 
 def _starts(index: np.ndarray, n: int) -> np.ndarray:
