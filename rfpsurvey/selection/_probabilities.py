@@ -330,10 +330,8 @@ class SelectionProbabilities:
             )
         kept = ["n_realizations", "n_tiles", "n_rounds", "n_fibers", "model"]
         kept += ["epoch"] if "epoch" in meta["summary"] else []
-        realizations.meta = {
-            "summary": {name: meta["summary"].get(name) for name in kept},
-            "provenance": meta["provenance"],
-        }
+        summary = {name: meta["summary"].get(name) for name in kept}
+        realizations.meta = {"summary": summary, "provenance": meta["provenance"]}
         n_tiles = np.asarray(table["n_tiles"])
         n_tiles = n_tiles.astype(count_type(n_tiles.max(initial=0)))
         requested = to_visits(table["requested"], len(table))

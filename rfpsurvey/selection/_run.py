@@ -151,15 +151,9 @@ def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
     table = QTable(columns, names=[*REALIZATIONS])
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     n_tiles = len(request.tiling) - len(request.dropped)
-    table.meta = {
-        "summary": {
-            "n_realizations": len(seeds),
-            "n_tiles": n_tiles,
-            "n_rounds": len(request.rounds),
-            "n_fibers": n_usable * n_tiles,
-            **({} if request.moved is None else {"epoch": request.moved}),
-            "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
-        },
-        "provenance": request.provenance,
-    }
+    summary = {"n_realizations": len(seeds), "n_tiles": n_tiles, "n_rounds": len(request.rounds)}
+    summary |= {"n_fibers": n_usable * n_tiles, **({} if request.moved is None else {"epoch": request.moved})}
+    projection = "radial" if request.conditions is None else "full"
+    summary["model"] = model_sentence(request.instrument, projection=projection)
+    table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, REALIZATIONS)

@@ -88,9 +88,8 @@ class Bookkeeping:
         if request.cadences is not None:
             cadences, row = request.cadences
             self.windows = Windows(cadences, request.source.to_slots(row), request.days, request.brightness)
-        self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
-        self._lasting = builder.lasting
-        self._surplus = builder.surplus
+        self._builder, self.wanted, self.left = builder, builder.wanted, builder.left.copy()
+        self.spends = np.broadcast_to(np.True_, len(self.left)) if builder.spends is None else builder.spends
         self.n_observed = np.zeros(len(self._number), dtype=np.int64)
         """Number of successful visits of each tile to science targets."""
         classes = classes_by_column(*(builder.source.by_slot(name) for name in ("priority", "category")), self.wanted)
@@ -113,8 +112,7 @@ class Bookkeeping:
         if self.windows is None:
             return job
         slot = job.field.slot
-        is_closed = ~self.windows.state(slot, tile)[0]
-        is_closed = is_closed if self.spends is None else is_closed & self.spends[slot]
+        is_closed = ~self.windows.state(slot, tile)[0] & self.spends[slot]
         closed = slot[is_closed]
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
             reach = reach_of(job)
@@ -138,9 +136,9 @@ class Bookkeeping:
         self.flags[slot[~observed]] |= LOST_IN_COLLISION
         slot = slot[observed]
         self.flags[slot] |= DONE
-        if self.spends is not None:
-            slot = slot[self.spends[slot]]
-        if self._lasting is not None:  # without remaining visits, these targets are only standards or sky positions
+        slot = self._builder.spending(slot)
+        if self._builder.lasting is not None:
+            # without remaining visits, these targets are only standards or sky positions
             science = has_role(field.targets.columns.kind, "science")
             slot = slot[np.isin(slot, field.slot[science])]
         if self.windows is None:
@@ -160,14 +158,12 @@ class Bookkeeping:
 
     def done(self) -> np.ndarray:
         """Return the number of successful visits to each target; 0 for standards and sky positions."""
-        return self.counted() if self._surplus is None else self.counted() + self._surplus
+        surplus = self._builder.surplus
+        return self.counted() if surplus is None else self.counted() + surplus
 
     def counted(self) -> np.ndarray:
         """Return the number of successful visits to each target, at most the number of requested visits."""
-        done = self.wanted - self.left
-        if self.spends is not None:
-            done[~self.spends] = 0
-        return done
+        return np.where(self.spends, self.wanted - self.left, np.uint8(0))
 
     def outcomes(self) -> np.ndarray:
         """Return the outcome of each target as an index of ``OUTCOMES``."""

@@ -40,10 +40,8 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.counted()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
-    table.meta = {
-        "summary": _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state),
-        "provenance": request.provenance,
-    }
+    summary = _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state)
+    table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, TILES)
 
 

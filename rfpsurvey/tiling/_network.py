@@ -113,15 +113,12 @@ class _Cells:
     def __init__(self, problem: TilingProblem):
         rows = np.flatnonzero(problem.wanted > 0)
         nside = _healpix.nside_for(CELL * problem.radius)
-        _, of, count = np.unique(
-            _healpix.pixels_of(nside, problem.index.vectors[rows]), return_inverse=True, return_counts=True
-        )
-        of = of.reshape(-1)
+        pixels = _healpix.pixels_of(nside, problem.index.vectors[rows])
+        _, of, self.count = np.unique(pixels, return_inverse=True, return_counts=True)
         weight = problem.wanted[rows].astype(float)
         self.vectors = np.column_stack([np.bincount(of, weight * problem.index.vectors[rows, k]) for k in range(3)])
         self.vectors /= np.linalg.norm(self.vectors, axis=1)[:, None]
         self.supply = np.bincount(of, weight)
-        self.count = count
         self.index = SkyIndex(self.vectors)
 
 
@@ -143,9 +140,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
         centers = centers.copy()
         left = cells.supply - np.bincount(cell, amount, len(cells.supply))
         order = np.argsort(tile, kind="stable")
-        bounds = np.searchsorted(tile[order], np.arange(len(centers) + 1))
-        for k in range(len(centers)):
-            own = order[bounds[k] : bounds[k + 1]]
+        for k, own in enumerate(np.split(order, np.searchsorted(tile[order], np.arange(1, len(centers))))):
             if len(own):
                 centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
             elif left.max() > 0.5:  # move a tile without targets to unassigned targets

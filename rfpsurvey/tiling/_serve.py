@@ -140,7 +140,9 @@ class FocalPlaneFibers(FieldsOfTiles):
     def __call__(self, center, near, state):
         """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         number = len(state.rows)
-        plane, builder = self._projection(center, number), self.builder
+        place = [*np.concatenate(to_ra_dec(center[None])), self.tiling] if self.places is None else self.places[number]
+        conditions, builder = None if self.conditions is None else self.conditions[number], self.builder
+        plane = self.instrument.field_projection(*np.deg2rad(place), conditions)
         years = 0.0 if self.years is None else float(self.years[number])
         left = state.left if builder.reusable is None else np.where(builder.reusable, 1.0, state.left)
         slot, _, targets = builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
@@ -157,14 +159,6 @@ class FocalPlaneFibers(FieldsOfTiles):
             order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers.number])
         return slot[served]
-
-    def _projection(self, center, number):
-        """Return the projection of the sky onto the focal plane for the tile with the given number."""
-        if self.places is None:
-            (ra,), (dec,) = to_ra_dec(center[None])
-            return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiling]))
-        conditions = None if self.conditions is None else self.conditions[number]
-        return self.instrument.field_projection(*np.deg2rad(self.places[number]), conditions)
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:

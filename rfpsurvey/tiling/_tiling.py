@@ -313,9 +313,8 @@ def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def place_of(ra, dec) -> np.ndarray:
     """Return two integers for each center (degrees); centers that agree to 1e-8 deg have the same integers."""
-    return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
-        np.int64
-    )
+    ra, dec = (np.rint(np.asarray(angle) * 1e8) for angle in (ra, dec))
+    return np.column_stack([ra % round(360e8), dec]).astype(np.int64)
 
 
 def _integers(column, tile):

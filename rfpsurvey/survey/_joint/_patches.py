@@ -33,8 +33,6 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
     shift = rng.uniform(0.35, 0.65)
     while waiting:
         members = waiting.pop()
-        if len(members) == 0:
-            continue
         total = load[members].sum()
         if total <= size or len(members) < 2:
             label[members] = n

@@ -73,10 +73,8 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             note = "planning one tile after the other"
             plans = first_plans(request, fixed, executor, partial(tell, note=note))
         else:
-            plans = [
-                TilePlan(*columns)
-                for columns in zip(*(stored[name].reshape(n, n_positioners) for name in ("slot", "side")), strict=True)
-            ]
+            slots, sides = (stored[name].reshape(n, n_positioners) for name in ("slot", "side"))
+            plans = list(map(TilePlan, slots, sides))
             tell(n, new=False)
         network, directions, subpriority = list_all(request, plans, fixed, executor)
         goals = [] if has_cadences else goals_of(request, network, subpriority)
@@ -115,15 +113,10 @@ def _store(folder, network, search: Search) -> None:
         return
     plans = plans_of(network, search.chosen)
     seconds = search.seconds if np.isfinite(search.options.seconds) else 0.0  # files of equal searches are equal
-    columns = {
-        "slot": np.concatenate([plan.slot for plan in plans]),
-        "side": np.concatenate([plan.side for plan in plans]),
-        "size": np.array([len(plan.slot) for plan in plans]),
-        "numbers": np.array([search.size, search.iteration, seconds]),
-        "bounds": search.bounds,
-        "next_size": search.next_size,
-        "steps": np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps]),
-    }
+    columns = {name: np.concatenate([getattr(plan, name) for plan in plans]) for name in ("slot", "side")}
+    columns |= {"size": np.diff(network.first), "numbers": np.array([search.size, search.iteration, seconds])}
+    columns |= {"bounds": search.bounds, "next_size": search.next_size}
+    columns["steps"] = np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps])
     if len(search.limits):
         columns |= {"bounds_of_all": search.bounds_of_all, "limits": search.limits}
     columns |= {f"price{k}": prices.price for k, prices in enumerate(search.prices) if prices is not None}
@@ -166,9 +159,6 @@ def table_of(search: Search, names: list[str]) -> QTable:
         if len(search.limits):
             level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
         levels.append(level)
-    table.meta["summary"] = {
-        "n_iterations": search.iteration,
-        "levels": levels,
-        "gap": max(level["gap"] for level in levels),
-    }
+    gap = max(level["gap"] for level in levels)
+    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap}
     return table

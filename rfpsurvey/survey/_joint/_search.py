@@ -6,6 +6,7 @@ each other, or all candidates with the same target; a plan may use only a limite
 """
 
 from concurrent.futures import Executor
+from functools import partial
 from time import perf_counter, time
 from typing import NamedTuple
 
@@ -108,9 +109,12 @@ class JointSearch:
         """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
         return self.options.seconds * (1.0 - self._reserved)
 
-    def out_of_time(self) -> bool:
-        """Return whether the time limit has passed, without the time that is reserved for the goals."""
-        return self.seconds >= self._limit
+    def out_of_time(self, fraction: float | None = None) -> bool:
+        """Return whether a fraction of the time limit has passed.
+
+        By default, this is the time limit without the time that is reserved for the goals.
+        """
+        return self.seconds >= (self._limit if fraction is None else fraction * self.options.seconds)
 
 
 class Search(JointSearch):
@@ -178,10 +182,6 @@ class Search(JointSearch):
         """Whether the search can end when the gaps are small: all bounds are known."""
         return bool(np.isfinite(self.bounds).all())
 
-    def _out_of_time_for_prices(self) -> bool:
-        """Return whether the time for computing the prices before the first iteration has passed."""
-        return self.seconds >= FOR_PRICES * self.options.seconds
-
     def _deadline(self) -> float:
         """Return the value of `time.time` at which the search ends."""
         return time() + self._limit - self.seconds
@@ -194,8 +194,8 @@ class Search(JointSearch):
         self._follow_paths()
         self.bounds_of_all = self.bounds.copy()
         for k in range(len(self.levels)):
-            if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
-                bound = self._prices_of(k).improve(self._weights(k), SWEEPS, self._out_of_time_for_prices)
+            if self.bounds[k] > self.visits[k] and not self.out_of_time(FOR_PRICES):
+                bound = self._prices_of(k).improve(self._weights(k), SWEEPS, partial(self.out_of_time, FOR_PRICES))
                 self.bounds[k] = min(self.bounds[k], np.floor(bound))
         if self._bounded is self.network:
             self.bounds_of_all = self.bounds.copy()

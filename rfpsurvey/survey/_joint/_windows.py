@@ -121,9 +121,8 @@ class WindowSearch(JointSearch):
             order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
             rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
             state = self.chosen, self._load, self._used, self._done
-            kernels.move(
-                order, rolls, self._links, self._dates, *state, self._cost, self._found, self._work, self._picked, gain
-            )
+            work = self._cost, self._found, self._work, self._picked
+            kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
 
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of complete cadences and of visits of a level."""
@@ -203,7 +202,7 @@ class WindowSearch(JointSearch):
             best = min(best, total)
             if late >= LATE:
                 step, late = step / 2, 0
-            if best < value + 1 or self.seconds >= limit * self.options.seconds:
+            if best < value + 1 or self.out_of_time(limit):
                 break
             more, own_more = usage - 1.0, own_usage - 1.0
             more[(price == 0) & (more < 0)] = own_more[(own == 0) & (own_more < 0)] = 0.0
@@ -233,7 +232,7 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)
     place_of = np.full(len(network.target), -1)
-    place_of[real] = place = place.reshape(-1)
+    place_of[real] = place
     own = request.source.to_slots(row)
     # standards, sky positions, and copies of targets that are used only in these roles have no cadence
     counted = network.rank_of_target < network.n_classes
