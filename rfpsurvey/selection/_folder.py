@@ -14,6 +14,8 @@ EVERY = 60.0
 """Minimum time between two checkpoints of a block, in seconds."""
 NAME = "selection.fits"
 """Name of the file with the result."""
+BLOCK, STATE = "block-{:04d}", "state-{:04d}"
+"""Names of the files of a finished block, and of the state of an unfinished block."""
 
 
 class SelectionFolder(RequestFolder):
@@ -41,13 +43,13 @@ class SelectionFolder(RequestFolder):
     def save_state(self, number: int, state: State) -> None:
         """Write the state of an unfinished block, if the last checkpoint is at least ``EVERY`` seconds old."""
         if monotonic() - self._last >= EVERY:
-            self.save(_state(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
+            self.save(STATE.format(number), left=state.left, counts=state.counts, n_rounds=np.array(state.n_rounds))
             self._last = monotonic()
 
     def load_state(self, number: int, state: State, n_rounds: int) -> None:
         """Restore ``state`` from the file of an unfinished block of ``n_rounds`` rounds, if there is such a file."""
         left, counts = ("u1", state.left.shape), ("i8", state.counts.shape)
-        found = self.load(_state(number), left=left, counts=counts, n_rounds=("i8", ()))
+        found = self.load(STATE.format(number), left=left, counts=counts, n_rounds=("i8", ()))
         if found is not None:
             done = int(found["n_rounds"])
             if not 0 <= done < n_rounds:
@@ -58,13 +60,13 @@ class SelectionFolder(RequestFolder):
 
     def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray) -> None:
         """Write the masks of all targets and the counts of a finished block, and remove its state."""
-        self.save(_block(number), mask=mask, counts=counts)
+        self.save(BLOCK.format(number), mask=mask, counts=counts)
         with written(self.path):
-            (self.path / f"{_state(number)}.npz").unlink(missing_ok=True)
+            (self.path / f"{STATE.format(number)}.npz").unlink(missing_ok=True)
 
     def load_block(self, number: int, n_targets: int, n: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the masks of all targets and the counts of a block of n realizations; None if it is not finished."""
-        found = self.load(_block(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
+        found = self.load(BLOCK.format(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
         return None if found is None else (found["mask"], found["counts"])
 
     def finish(self) -> None:
@@ -74,11 +76,3 @@ class SelectionFolder(RequestFolder):
                 path.unlink()
         self._known = {NAME: self._known[NAME]}
         super().finish()
-
-
-def _block(number: int) -> str:
-    return f"block-{number:04d}"
-
-
-def _state(number: int) -> str:
-    return f"state-{number:04d}"

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import NamedTuple
 
 import numpy as np
 from astropy.coordinates import SkyCoord
@@ -20,7 +19,8 @@ from rfpsurvey._progress import Progress
 from rfpsurvey.catalog import Catalog, PartitionedCatalog
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_switch, number_of, short
 from rfpsurvey.instrument import Instrument
-from rfpsurvey.selection._run import IN_FLIGHT, count_tiles, count_type
+from rfpsurvey.selection._probabilities import count_type
+from rfpsurvey.selection._run import IN_FLIGHT
 from rfpsurvey.survey import Job, Request, Survey, prepare_request, reach_of, run_rounds
 from rfpsurvey.tiling import Tiling, places_of_tiles
 
@@ -29,18 +29,9 @@ COLUMNS = table_of(
     Column("positioner", "identifier of the positioner"),
     Column("point", "row of the point in the catalog of points"),
 )
-NO_ROWS = np.empty(0, dtype=np.int64)
 PLACE = ("tile", "ra", "dec", "position_angle", "pass")
 # Largest difference (degrees) between the centers and position angles of equal tiles.
 ROUNDING = 1e-8
-
-
-class ReachJob(NamedTuple):
-    """The input of `reachable` for one tile."""
-
-    job: Job
-    excluded: np.ndarray
-    """Rows of the positioners that lose their target to a collision, and therefore reach no point."""
 
 
 @check_keywords
@@ -113,16 +104,9 @@ def potential_assignments(
         raise InputTypeError(f"survey must be a Survey, got {short(survey)}")
     if not callable(progress):
         check_switch(progress, "progress")
-    request = prepare_request(
-        catalog,
-        instrument,
-        tiles,
-        allocator="nearest",
-        passes=passes,
-        epoch=epoch,
-        lost_in_collision=False,
-        executor=executor,
-    )
+    options = {"allocator": "nearest", "lost_in_collision": False}
+    options |= {"passes": passes, "epoch": epoch, "executor": executor}
+    request = prepare_request(catalog, instrument, tiles, **options)
     found = PotentialAssignments(request, survey, executor, progress)
     if survey is not None:
         _check_survey(request, survey)
@@ -170,9 +154,6 @@ class PotentialAssignments:
         ndarray of int, shape (n_points,)
             Number of tiles, in the order of the catalog of points.
         """
-        if self.survey is None:
-            with Progress(self.progress, len(self), "tiles") as tell:
-                return self.request.source.by_row(count_tiles(self.request, self.executor, tell))
         n_tiles = np.zeros(len(self.request.source), dtype=count_type(len(self)))
         for _, _, rows in self._pairs():
             n_tiles[np.unique(rows)] += 1
@@ -187,7 +168,7 @@ class PotentialAssignments:
         return vstack(list(self), metadata_conflicts="silent")
 
     def __iter__(self) -> Iterator[QTable]:
-        return (describe(QTable({name: rows[name] for name in COLUMNS}), COLUMNS) for rows in self._rows())
+        return (describe(QTable(rows), COLUMNS) for rows in self._rows())
 
     def __len__(self):
         return int((~self._is_dropped).sum())
@@ -236,18 +217,21 @@ class PotentialAssignments:
         """Yield the rows of each tile, sorted by point, then by positioner."""
         names, ids = np.asarray(self.request.tiling.table["tile"]), self.request.instrument.focal_plane.id
         for tile, own, point in self._pairs():
-            rows = np.empty(len(own), dtype=self._dtype)
-            rows["tile"], rows["positioner"], rows["point"] = names[tile], ids[own], point
-            yield rows
+            yield np.rec.fromarrays([np.full(len(own), names[tile]), ids[own], point], dtype=self._dtype)
 
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
         request = self.request
         open_job = partial(request.job, left=np.ones(len(request.source), dtype=np.uint8))
-        tiles, given = np.flatnonzero(~self._is_dropped), {"argument": self._argument, "most": IN_FLIGHT}
+        tiles, names = np.flatnonzero(~self._is_dropped), np.asarray(request.tiling.table["tile"])
         with Progress(self.progress, len(tiles), "tiles") as tell:
-            found = run_rounds([tiles], self.executor, reachable, open_job, **given)
+            found = run_rounds([tiles], self.executor, reachable, open_job, most=IN_FLIGHT)
             for k, (tile, job, (own, target), _) in enumerate(found, 1):
+                if self.survey is not None:  # positioners that lose their target to a collision reach no point
+                    visits = self.survey.tile(names[tile])
+                    lost = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
+                    rest = ~np.isin(request.instrument.focal_plane.id[own], lost)
+                    own, target = own[rest], target[rest]
                 yield tile, own, job.field.row[target]
                 tell(k)
 
@@ -260,20 +244,10 @@ class PotentialAssignments:
         table = self.survey.tiles
         return np.isin(names, np.asarray(table["tile"])[np.asarray(table["state"]) == "dropped"])
 
-    def _argument(self, tile: int, job: Job) -> tuple[ReachJob, None]:
-        """Return the job of a tile with the positioners that lose their target to a collision; they reach no point."""
-        if self.survey is None:
-            return ReachJob(job, NO_ROWS), None
-        visits = self.survey.tile(self.request.tiling.table["tile"][tile])
-        ids = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
-        return ReachJob(job, np.flatnonzero(np.isin(self.request.instrument.focal_plane.id, ids))), None
 
-
-def reachable(given: ReachJob) -> tuple[np.ndarray, np.ndarray]:
+def reachable(job: Job) -> tuple[np.ndarray, np.ndarray]:
     """Return, for each pair in reach, the row of the positioner and the index of the target in the field."""
-    pairs = reach_of(given.job).pairs
-    if len(given.excluded):
-        pairs = pairs.where(~np.isin(pairs.owner, given.excluded))
+    pairs = reach_of(job).pairs
     return pairs.owner, pairs.target
 
 

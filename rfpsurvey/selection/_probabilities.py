@@ -330,12 +330,10 @@ class SelectionProbabilities:
             )
         kept = ["n_realizations", "n_tiles", "n_rounds", "n_fibers", "model"]
         kept += ["epoch"] if "epoch" in meta["summary"] else []
-        realizations.meta = {
-            "summary": {name: meta["summary"].get(name) for name in kept},
-            "provenance": meta["provenance"],
-        }
+        summary = {name: meta["summary"].get(name) for name in kept}
+        realizations.meta = {"summary": summary, "provenance": meta["provenance"]}
         n_tiles = np.asarray(table["n_tiles"])
-        n_tiles = n_tiles.astype(np.uint16 if n_tiles.max(initial=0) < 1 << 16 else np.uint32)
+        n_tiles = n_tiles.astype(count_type(n_tiles.max(initial=0)))
         requested = to_visits(table["requested"], len(table))
         return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations)
 
@@ -357,6 +355,11 @@ class SelectionProbabilities:
 def selection_facts(found: SelectionProbabilities) -> dict:
     """Return the labels and values of the numbers of selection probabilities."""
     return facts_of(SELECTION_FACTS, found.summary)
+
+
+def count_type(n: int) -> type:
+    """Return uint16 if this type can represent all integers up to n, otherwise uint32."""
+    return np.uint16 if n < 1 << 16 else np.uint32
 
 
 def n_words(n_realizations: int) -> int:

@@ -6,6 +6,7 @@ The *slot* of a target is its index in the arrays that describe the state of a s
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor
 from contextlib import nullcontext
+from dataclasses import replace
 from functools import partial
 from itertools import accumulate
 
@@ -18,9 +19,9 @@ from rfpsurvey._methods import table_of
 from rfpsurvey._progress import Progress
 from rfpsurvey.selection._alternate import plan_history
 from rfpsurvey.selection._folder import NAME, SelectionFolder
-from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, n_words
-from rfpsurvey.selection._state import State, in_batch, request_of, seeds_of
-from rfpsurvey.selection._work import BlockJob, plan_alone, plan_together, reach_counts
+from rfpsurvey.selection._probabilities import PER_WORD, SelectionProbabilities, count_type, n_words
+from rfpsurvey.selection._state import State, in_batch, seeds_of
+from rfpsurvey.selection._work import BlockJob, is_reached, plan_alone, plan_together
 from rfpsurvey.survey import Job, Request, plan_jointly, run_rounds
 from rfpsurvey.tile import model_sentence
 
@@ -73,14 +74,10 @@ def run(
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
                 tell(tiles * (1 + first + len(own)), new=generations is not None and not is_known)
-        source = request.source
-        result = SelectionProbabilities(
-            source.ids(),
-            source.by_row(builder.wanted if generations is None else generations[-1].request.builder.wanted),
-            source.by_row(n_tiles),
-            source.by_row(bits),
-            realization_table(request, seeds, np.concatenate(counts)),
-        )
+        source, last = request.source, builder if generations is None else generations[-1].request.builder
+        columns = [source.by_row(values) for values in (last.wanted, n_tiles, bits)]
+        table = realization_table(request, seeds, np.concatenate(counts))
+        result = SelectionProbabilities(source.ids(), *columns, table)
         if folder is not None:
             with folder.writing(NAME) as temporary:
                 result.write(temporary)
@@ -95,27 +92,15 @@ def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
     if found is not None:
         tell(len(request.tiling), new=False)
         return found["n_tiles"]
-    n_tiles = count_tiles(request, executor, tell)
+    n_tiles = np.zeros(n, dtype=count_type(len(request.tiling)))
+    open_job, rounds = partial(request.job, left=np.ones(n, dtype=np.uint8)), [np.arange(len(request.tiling))]
+    results = run_rounds(rounds, executor, is_reached, open_job, known=request.dropped, most=IN_FLIGHT)
+    for k, (_, job, found, _) in enumerate(results, 1):
+        n_tiles[job.field.slot[found]] += 1
+        tell(k)
     if folder is not None:
         folder.save("reach", n_tiles=n_tiles)
     return n_tiles
-
-
-def count_tiles(request: Request, executor: Executor | None, tell: Callable) -> np.ndarray:
-    """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
-    n_tiles = np.zeros(len(request.source), dtype=count_type(len(request.tiling)))
-    everything = np.ones(len(request.source), dtype=np.uint8)
-    open_job, rounds = partial(request.job, left=everything), [np.arange(len(request.tiling))]
-    results = run_rounds(rounds, executor, reach_counts, open_job, known=request.dropped, most=IN_FLIGHT)
-    for k, (_, job, found, _) in enumerate(results, 1):
-        n_tiles[job.field.slot[found > 0]] += 1
-        tell(k)
-    return n_tiles
-
-
-def count_type(n: int) -> type:
-    """Return uint16 if this type can represent all integers up to n, otherwise uint32."""
-    return np.uint16 if n < 1 << 16 else np.uint32
 
 
 def _plan_block(request, number: int, state: State, folder, tell, begin: int, plan_rounds: Callable) -> None:
@@ -141,7 +126,9 @@ def _plan_rounds(
     The function ``failed`` of the row of a tile returns the positioners that failed when the tile was observed.
     """
     has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
-    request = request if together else request_of(request, state.builder, *seeds)
+    if not together:
+        options = replace(request.options, subpriority=seeds[0])
+        request = replace(request, builder=state.builder, options=options, seed=seeds[0])
     if request.joint is not None:
         request = plan_jointly(request, None, executor, progress=False)[0]
 
@@ -160,20 +147,13 @@ def _plan_rounds(
 
 def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
     """Return a table with a row for each realization, and with the provenance in its meta."""
-    table = QTable({"realization": np.arange(len(seeds)), "seed": np.array(seeds, dtype=np.int64)})
-    for name, column in zip(("n_assigned", "n_lost", "n_observed"), counts.T, strict=True):
-        table[name] = column
+    columns = [np.arange(len(seeds)), np.array(seeds, dtype=np.int64), *counts.T]
+    table = QTable(columns, names=[*REALIZATIONS])
     n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     n_tiles = len(request.tiling) - len(request.dropped)
-    table.meta = {
-        "summary": {
-            "n_realizations": len(seeds),
-            "n_tiles": n_tiles,
-            "n_rounds": len(request.rounds),
-            "n_fibers": n_usable * n_tiles,
-            **({} if request.moved is None else {"epoch": request.moved}),
-            "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
-        },
-        "provenance": request.provenance,
-    }
+    summary = {"n_realizations": len(seeds), "n_tiles": n_tiles, "n_rounds": len(request.rounds)}
+    summary |= {"n_fibers": n_usable * n_tiles, **({} if request.moved is None else {"epoch": request.moved})}
+    projection = "radial" if request.conditions is None else "full"
+    summary["model"] = model_sentence(request.instrument, projection=projection)
+    table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, REALIZATIONS)

@@ -159,15 +159,8 @@ def selection_probabilities(
         raise InputError(
             f"subpriority must not be given, because each realization has its own subpriorities, got {one.subpriority}"
         )
-    options = {
-        "allocator": allocator,
-        "passes": passes,
-        "epoch": epoch,
-        "lost_in_collision": lost_in_collision,
-        "order": order,
-        "executor": executor,
-        "rng": rng,
-    }
+    options = {"allocator": allocator, "passes": passes, "epoch": epoch, "order": order}
+    options |= {"lost_in_collision": lost_in_collision, "executor": executor, "rng": rng}
 
     def prepare(state: SurveyState) -> Request:
         return prepare_request(state.catalog, instrument, tiles, visits=state, **options)

@@ -4,7 +4,6 @@ The remaining visits are one byte per target and realization.
 """
 
 from collections.abc import Iterable
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,11 +16,6 @@ from rfpsurvey.survey import Job, Request
 def seeds_of(seed: int, n: int) -> list[int]:
     """Return the seeds of n realizations; if n is increased, the first seeds remain the same."""
     return [int(word) >> 1 for word in np.random.SeedSequence(seed).generate_state(n, np.uint64)]
-
-
-def request_of(request: Request, builder: FieldBuilder, seed: int) -> Request:
-    """Return the request of the survey of one realization."""
-    return replace(request, builder=builder, options=replace(request.options, subpriority=seed), seed=seed)
 
 
 def in_batch(request: Request) -> bool:

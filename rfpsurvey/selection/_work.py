@@ -51,7 +51,7 @@ def plan_together(given: BlockJob) -> BlockDone:
         return BlockDone(mask, counts, [mask] * len(given.failed or ()))
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
-        Poses(plane, reach, pairs, job.model.options.parked_obstacles).find_lost(chosen, lost)
+        lost = find_lost(plane, reach, pairs, chosen, parked_obstacles=job.model.options.parked_obstacles)
     kernels.mark_visits(chosen, lost, pairs.target, mask, counts)
     good = []
     for rows in given.failed or ():
@@ -87,31 +87,30 @@ def choose_pairs(reach: FieldReach, given: BlockJob) -> tuple[Reach, np.ndarray]
     return pairs, chosen
 
 
-def reach_counts(job: Job) -> np.ndarray:
-    """Return the number of positioners that reach each target of a field."""
-    return np.diff(reach_of(job).pairs.indptr)
+def is_reached(job: Job) -> np.ndarray:
+    """Return whether a positioner reaches each target of a field."""
+    return reach_of(job).pairs.covered
 
 
 def plan_alone(given: BlockJob) -> BlockDone:
     """Plan a tile for a single realization, with the function that plans the tiles of surveys."""
-    done = work(given.job)
-    mask = np.zeros(len(given.left), dtype=np.uint32)
+    done, ids = work(given.job), given.job.model.instrument.focal_plane.id
     observed = (done.target >= 0) & done.observed
-    mask[done.target[observed]] = 1
-    spends = given.left[:, 0] > 0  # other targets are only standards or sky positions
-    mask[~spends] = 0
-    good = []
-    for rows in given.failed or ():
-        names = given.job.model.instrument.focal_plane.id[rows]
-        good.append(np.zeros_like(mask))
-        good[-1][done.target[observed & ~np.isin(done.visits["positioner"], names)]] = 1
-        good[-1][~spends] = 0
+
+    def mask_of(counted: np.ndarray) -> np.ndarray:
+        visited = np.isin(np.arange(len(given.left)), done.target[counted])
+        return (visited & (given.left[:, 0] > 0)).astype(np.uint32)  # others are only standards or sky positions
+
+    mask = mask_of(observed)
+    good = [mask_of(observed & ~np.isin(done.visits["positioner"], ids[rows])) for rows in given.failed or ()]
     lost = done.counts["n_colliding_assigned"] if given.job.model.lost_in_collision else 0
     return BlockDone(mask, np.array([[done.counts["n_assigned"], lost]]), good)
 
 
-class Poses:
-    """The poses of arms at all targets in reach, from which the collisions of each realization are found.
+def find_lost(
+    plane: FocalPlane, reach: FieldReach, pairs: Reach, chosen: np.ndarray, *, parked_obstacles: bool
+) -> np.ndarray:
+    """Return the positioners that lose their target to a collision, in each realization.
 
     Parameters
     ----------
@@ -121,45 +120,35 @@ class Poses:
         Positions and required fiber types of the targets.
     pairs : Reach
         The pairs of positioners and targets in reach that may be assigned.
+    chosen : ndarray of int, shape (n_realizations, n_positioners)
+        Index of the pair of each positioner in each realization, or -1.
     parked_obstacles : bool
         Whether positioners without a target are parked, and are obstacles for other arms. Only positioners with two
         arms of equal length can be parked.
+
+    Returns
+    -------
+    ndarray of bool, shape (n_realizations, n_positioners)
+        Whether each positioner has a target and collides.
     """
-
-    def __init__(self, plane: FocalPlane, reach: FieldReach, pairs: Reach, parked_obstacles: bool):
-        own, columns = pairs.owner, plane.arrays
-        self._plane, self._columns, self._parked = plane, columns, parked_obstacles
-        self._points, self._fiber = reach.xy[pairs.target], columns.first_index[own]
-        if reach.fiber_type is not None:
-            self._fiber = columns.index_of(reach.fiber_type[pairs.target], own)
-        self._side = columns.sides(self._points, own, self._fiber)
-        self._segments = columns.segments_of(own, self._fiber, self._points, self._side)
-        self._idle = columns.idle_segments(parked_obstacles)
-
-    def find_lost(self, chosen: np.ndarray, lost: np.ndarray) -> None:
-        """Mark the positioners that lose their target to a collision, in each realization (row of ``chosen``)."""
-        columns = self._columns
-        if len(columns.runs) + len(columns.obstacle_pairs) == 0:
-            return
-        setup, times = make_setup(columns, self._parked), np.zeros(chosen.shape, dtype=np.int64)
-        poses = chosen, self._segments, self._idle
-        counts = count_poses(self._plane, setup, *poses, times, columns.obstacle_slack)
-        lost[:] = (times > 0) & (chosen >= 0)
-        for r in np.flatnonzero(counts[:, BORDERLINE]):
-            lost[r] = self._lost_exactly(chosen[r])
-
-    def _lost_exactly(self, pair: np.ndarray) -> np.ndarray:
-        """Return which positioners lose their target; exact arithmetic is used if rounding could change the result."""
-        used = np.flatnonzero(pair >= 0)
-        tips, side = np.full((len(pair), 2), np.nan), np.ones(len(pair))
-        tips[used], side[used] = self._points[pair[used]], self._side[pair[used]]
-        types = self._columns.first_type.astype(object)
-        types[used] = np.array(self._plane.fiber_types, dtype=object)[self._fiber[pair[used]]]
-        report = find_collisions(
-            self._plane,
-            tips << u.mm,
-            handedness=elbow_names(side),
-            fiber_type=types.astype(str),
-            parked_obstacles=self._parked,
-        )
-        return report.in_collision & (pair >= 0)
+    columns, times = plane.arrays, np.zeros(chosen.shape, dtype=np.int64)
+    if len(columns.runs) + len(columns.obstacle_pairs) == 0:
+        return times > 0
+    own, points = pairs.owner, reach.xy[pairs.target]
+    fiber = columns.first_index[own]
+    if reach.fiber_type is not None:
+        fiber = columns.index_of(reach.fiber_type[pairs.target], own)
+    side = columns.sides(points, own, fiber)
+    poses = chosen, columns.segments_of(own, fiber, points, side), columns.idle_segments(parked_obstacles)
+    counts = count_poses(plane, make_setup(columns, parked_obstacles), *poses, times, columns.obstacle_slack)
+    lost = (times > 0) & (chosen >= 0)
+    for r in np.flatnonzero(counts[:, BORDERLINE]):  # exact arithmetic, because rounding could change the result
+        used = np.flatnonzero(chosen[r] >= 0)
+        pair, tips, hands = chosen[r, used], np.full((len(plane), 2), np.nan), np.ones(len(plane))
+        tips[used], hands[used] = points[pair], side[pair]
+        types = columns.first_type.astype(object)
+        types[used] = np.array(plane.fiber_types, dtype=object)[fiber[pair]]
+        given = {"handedness": elbow_names(hands), "fiber_type": types.astype(str)}
+        report = find_collisions(plane, tips << u.mm, parked_obstacles=parked_obstacles, **given)
+        lost[r] = report.in_collision & (chosen[r] >= 0)
+    return lost

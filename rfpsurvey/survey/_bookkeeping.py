@@ -30,16 +30,10 @@ class Tally:
         self.n_observed = np.zeros((n_passes, len(names)), dtype=np.int64)
         self.n_complete = np.zeros_like(self.n_observed)
 
-    def begin(self, done: np.ndarray, complete: np.ndarray) -> None:
-        """Add visits that were made before the first tile to the counts of the first pass."""
-        n = len(self.names)
-        self.n_observed[0] += np.bincount(self.class_of, weights=done, minlength=n).astype(np.int64)
-        self.n_complete[0] += np.bincount(self.class_of[complete], minlength=n)
-
     def add(self, number: int, slot: np.ndarray, complete: np.ndarray, last: int | np.ndarray) -> None:
-        """Add the visits of one tile to the counts.
+        """Add visits to the counts.
 
-        ``number`` is the index of the pass of the tile, and ``slot`` contains the slots of the visited targets.
+        ``number`` is the index of the pass of the visits, and ``slot`` contains the slot of the target of each visit.
         ``complete`` lists the targets that have now received all requested visits, and ``last`` is the index of the
         pass of the last visit to each of these targets.
         """
@@ -94,9 +88,8 @@ class Bookkeeping:
         if request.cadences is not None:
             cadences, row = request.cadences
             self.windows = Windows(cadences, request.source.to_slots(row), request.days, request.brightness)
-        self.wanted, self.left, self.spends = builder.wanted, builder.left.copy(), builder.spends
-        self._lasting = builder.lasting
-        self._surplus = builder.surplus
+        self._builder, self.wanted, self.left = builder, builder.wanted, builder.left.copy()
+        self.spends = np.broadcast_to(np.True_, len(self.left)) if builder.spends is None else builder.spends
         self.n_observed = np.zeros(len(self._number), dtype=np.int64)
         """Number of successful visits of each tile to science targets."""
         classes = classes_by_column(*(builder.source.by_slot(name) for name in ("priority", "category")), self.wanted)
@@ -110,7 +103,8 @@ class Bookkeeping:
         if len(made):  # visits that were made before belong to the first pass
             self.flags[made] |= DONE
             for tally in self.tallies.values():
-                tally.begin(self.counted(), made[(self.left[made] == 0) & (self.wanted[made] > 0)])
+                complete = made[(self.left[made] == 0) & (self.wanted[made] > 0)]
+                tally.add(0, np.repeat(made, self.counted()[made]), complete, 0)
 
     def open_job(self, request, tile: int):
         """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""
@@ -118,8 +112,7 @@ class Bookkeeping:
         if self.windows is None:
             return job
         slot = job.field.slot
-        is_closed = ~self.windows.state(slot, tile)[0]
-        is_closed = is_closed if self.spends is None else is_closed & self.spends[slot]
+        is_closed = ~self.windows.state(slot, tile)[0] & self.spends[slot]
         closed = slot[is_closed]
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
             reach = reach_of(job)
@@ -143,9 +136,9 @@ class Bookkeeping:
         self.flags[slot[~observed]] |= LOST_IN_COLLISION
         slot = slot[observed]
         self.flags[slot] |= DONE
-        if self.spends is not None:
-            slot = slot[self.spends[slot]]
-        if self._lasting is not None:  # without remaining visits, these targets are only standards or sky positions
+        slot = self._builder.spending(slot)
+        if self._builder.lasting is not None:
+            # without remaining visits, these targets are only standards or sky positions
             science = has_role(field.targets.columns.kind, "science")
             slot = slot[np.isin(slot, field.slot[science])]
         if self.windows is None:
@@ -165,14 +158,12 @@ class Bookkeeping:
 
     def done(self) -> np.ndarray:
         """Return the number of successful visits to each target; 0 for standards and sky positions."""
-        return self.counted() if self._surplus is None else self.counted() + self._surplus
+        surplus = self._builder.surplus
+        return self.counted() if surplus is None else self.counted() + surplus
 
     def counted(self) -> np.ndarray:
         """Return the number of successful visits to each target, at most the number of requested visits."""
-        done = self.wanted - self.left
-        if self.spends is not None:
-            done[~self.spends] = 0
-        return done
+        return np.where(self.spends, self.wanted - self.left, np.uint8(0))
 
     def outcomes(self) -> np.ndarray:
         """Return the outcome of each target as an index of ``OUTCOMES``."""

@@ -27,6 +27,8 @@ IN_FIELD = "number of targets in the field that still require a visit"
 IN_REACH = "number of targets that still require a visit and are in reach of a positioner"
 COLLIDING = "number of usable positioners in collision that have a target"
 UNMET = "number of requirements that are not met"
+COST_OF_RULES = "number of science targets that the rules on the distribution of fibers cost"
+ALSO = "number of positioners with a science target that also counts toward a requirement on standard stars or sky"
 COUNTS = (
     Count("n_in_field", IN_FIELD, card=N_FIELD, comment="targets in the field with remaining visits"),
     Count("n_reachable", IN_REACH, card="NREACH", comment="targets in reach with remaining visits"),
@@ -47,22 +49,12 @@ MOTION = (
     Count("n_needs_planner", "number of positioners that need a path planner", card="NPLANNER"),
 )
 """Counts of a tile if a constraint of the plan refers to the motion of the arms."""
-LOST_TO_RULES = Count(
-    LOST,
-    "number of science targets that the rules on the distribution of fibers cost",
-    card="NLOSTRUL",
-    comment="science targets that rules cost",
-)
+LOST_TO_RULES = Count(LOST, COST_OF_RULES, card="NLOSTRUL", comment="science targets that rules cost")
 """Count of a tile if rules refer to the distribution of fibers, and the allocator complies with them.
 
 Tiles of joint plans, and of earlier versions, do not have this count.
 """
-ALSO_SCIENCE = Count(
-    "n_also_science",
-    "number of positioners with a science target that also counts toward a requirement on standard stars or sky",
-    card="NALSOSCI",
-    comment="science targets that also meet requirements",
-)
+ALSO_SCIENCE = Count("n_also_science", ALSO, card="NALSOSCI", comment="science targets that also meet requirements")
 """Count of a tile if it is not 0; files of tiles of earlier versions do not have this count."""
 CARDS = {one.card for one in (*COUNTS, *MOTION, LOST_TO_RULES, ALSO_SCIENCE)}
 TILES = table_of(
@@ -128,13 +120,8 @@ SURVEY_FACTS = (
 
 def survey_facts(survey) -> dict:
     """Return the labels and values of the numbers of a survey, and the number of targets with each outcome."""
-    return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": _unusual_tiles(survey.tiles)})
-
-
-def _unusual_tiles(tiles) -> dict:
-    """Return the tiles without targets in their fields, and those at right ascension and declination 0."""
+    tiles, names = survey.tiles, np.asarray(survey.tiles["tile"])
     at_zero = (np.asarray(tiles["ra"]) == 0) & (np.asarray(tiles["dec"]) == 0)
     found = {"without targets": np.isnan(tiles["completeness"]), "at ra 0, dec 0": at_zero}
-    return {
-        label: brief(tuple(np.asarray(tiles["tile"])[rows].tolist())) for label, rows in found.items() if rows.any()
-    }
+    unusual = {label: brief(tuple(names[rows].tolist())) for label, rows in found.items() if rows.any()}
+    return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": unusual})

@@ -16,23 +16,14 @@ from rfpsurvey._units import to_seed
 from rfpsurvey.allocation import DEFAULT_ALLOCATOR, AllocationOptions, warn_of_lacks, warn_of_unused_options
 from rfpsurvey.catalog import Catalog, PartitionedCatalog, as_catalog, choose_epoch, is_table
 from rfpsurvey.constraints import mark_required
-from rfpsurvey.errors import (
-    InputError,
-    InputTypeError,
-    check_choice,
-    check_keywords,
-    check_switch,
-    short,
-    warn,
-    warn_no_effect,
-)
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
 from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.survey._cadences import Cadences
 from rfpsurvey.survey._folder import with_recorded_moves
 from rfpsurvey.survey._history._catalogs import first_visits, in_memory
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._state import SurveyState
-from rfpsurvey.survey._joint._options import JointOptions, as_joint
+from rfpsurvey.survey._joint._options import JointOptions, as_joint, check_for_cadences
 from rfpsurvey.survey._order import ORDERS
 from rfpsurvey.survey._plan_file import write_call
 from rfpsurvey.survey._request import Request, make_request
@@ -237,30 +228,16 @@ def prepare_request(
     else:
         used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
-    if cadences is not None and joint is not None and joint.fixed is not None:
-        raise InputError("fixed must not be given for a joint plan with cadences")
-    if cadences is not None and joint is not None and joint.early:
-        warn_no_effect("early", "with cadences")
+    if cadences is not None and joint is not None:
+        check_for_cadences(joint)
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
-    request = make_request(
-        source,
-        tiling,
-        instrument,
-        asked.for_instrument(instrument),
-        visits=visits,
-        passes=passes,
-        seed=to_seed(rng),
-        order=check_choice(order, ORDERS, "order"),
-        epoch=None if epoch is None else str(epoch),
-        moved=moved,
-        reference=used if epoch is None else None,
-        lost_in_collision=check_switch(lost_in_collision, "lost_in_collision"),
-        joint=joint,
-        state=state,
-        cadences=cadences,
-        given=given if state is None else state.first,
-    )
+    options, seed = asked.for_instrument(instrument), to_seed(rng)
+    others = {"seed": seed, "order": check_choice(order, ORDERS, "order"), "joint": joint, "cadences": cadences}
+    others |= {"lost_in_collision": check_switch(lost_in_collision, "lost_in_collision"), "moved": moved}
+    others |= {"epoch": None, "reference": used} if epoch is None else {"epoch": str(epoch), "reference": None}
+    others |= {"visits": visits, "passes": passes, "state": state, "given": given if state is None else state.first}
+    request = make_request(source, tiling, instrument, options, **others)
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
     warn_of_lacks(request.options, request.source.by_slot)

@@ -144,7 +144,7 @@ class Request(FieldsOfTiles):
     @cached_property
     def provenance(self) -> dict:
         """Software versions, instrument, catalog, tiling and parameters of the survey."""
-        about = self.tiling.table.meta
+        about, rules = self.tiling.table.meta, [one for one in self.options.all_constraints if isinstance(one, Rule)]
         found = {
             "software": self.software,
             "instrument": self.instrument.provenance,
@@ -153,9 +153,7 @@ class Request(FieldsOfTiles):
             "parameters": self.parameters,
             "units": self.source.units,
             "target_columns": self.source.kinds,
-            "rule_columns": [
-                name for one in self.options.all_constraints if isinstance(one, Rule) for name in one.columns
-            ],
+            "rule_columns": [name for rule in rules for name in rule.columns],
             **self._events,
         }
         return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
@@ -176,12 +174,11 @@ class Request(FieldsOfTiles):
             "instrument": (self.instrument.name, self.instrument.provenance["digest"]),
         }
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
-        first = {}
         if self.state is not None:
             tiling, passes = self.first
             tiles = tiles_digest(tiling, conditions_of_tiles(tiling))
-            first = {"first": {"passes": passes, "tiles": tiles, "catalog": self.state.digest}}
-        return {**about, **first, **self._events, **self._of_tiles, "software": self.software}
+            about["first"] = {"passes": passes, "tiles": tiles, "catalog": self.state.digest}
+        return {**about, **self._events, **self._of_tiles, "software": self.software}
 
     def recorded(self) -> dict:
         """Return the dict that the folder of the survey contains: `identity`, and digests of the catalog as given."""

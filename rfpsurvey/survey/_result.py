@@ -40,10 +40,8 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.counted()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
-    table.meta = {
-        "summary": _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state),
-        "provenance": request.provenance,
-    }
+    summary = _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state)
+    table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, TILES)
 
 
@@ -63,7 +61,8 @@ def _state_columns(request) -> dict[str, np.ndarray]:
 def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
-    is_required = request.builder.is_required
+    is_required, plane = request.builder.is_required, request.instrument.focal_plane
+    tiles = np.asarray(request.tiling.table["tile"])
     required = np.flatnonzero([] if is_required is None else is_required)
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
@@ -80,12 +79,11 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
         "completeness_targets": complete / max(targets, 1),
         "outcomes": {name: int(n) for name, n in zip(OUTCOMES, outcome_counts, strict=True) if n},
         "n_fibers": n_usable * len(request.tiling),
-        "n_assigned": total["n_assigned"],
-        **{name: total[name] for name in ("n_science", "n_standard", "n_sky")},
+        **{name: total[name] for name in ("n_assigned", "n_science", "n_standard", "n_sky")},
         "fiber_use": total["n_assigned"] / max(n_usable * len(request.tiling), 1),
         **{name: total[name] for name in ("n_colliding", "n_colliding_assigned", "n_colliding_pairs")},
-        "arm_model": request.instrument.focal_plane.positioner.arm_model,
-        **({"margins": str(margins)} if (margins := request.instrument.focal_plane.margins) else {}),
+        "arm_model": plane.positioner.arm_model,
+        **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
         **{one.name: total[one.name] for one in MOTION if one.name in total},
         **{name: total[name] for name in (LOST, ALSO_SCIENCE.name) if total.get(name)},
@@ -94,11 +92,8 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
         "n_unmet": total["n_unmet"],
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
-        "unmet": [
-            *sentences_of(lacking, np.asarray(request.tiling.table["tile"])),
-            *_never_observed(request.source, missed, why),
-        ],
-        **({"rules": rule_records(lacking, np.asarray(request.tiling.table["tile"]), kept)} if lacking else {}),
+        "unmet": sentences_of(lacking, tiles) + _never_observed(request.source, missed, why),
+        **({"rules": rule_records(lacking, tiles, kept)} if lacking else {}),
         **({} if state.windows is None else {"n_released": int(state.windows.released.sum())}),
         **({} if request.moved is None else {"epoch": request.moved}),
         **({} if request.state is None else request.state.summary),

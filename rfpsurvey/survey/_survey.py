@@ -225,8 +225,7 @@ class Survey(Living):
         s = self.summary
         return (
             f"<Survey of {number_of(s['n_tiles'], 'tile')}: {s['n_visits_observed']} of "
-            f"{number_of(s['n_visits_requested'], 'visit')}, "
-            f"completeness {s['completeness']:.4f}>"
+            f"{number_of(s['n_visits_requested'], 'visit')}, completeness {s['completeness']:.4f}>"
         )
 
     @classmethod

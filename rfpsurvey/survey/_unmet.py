@@ -128,18 +128,14 @@ def rule_records(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray, kept
     found, tiles = {}, tiles[kept]
     for name, values in lacking.items():
         if name.what != REQUIRED:
-            one = found.setdefault(name.what, {FAIL: np.zeros(len(tiles), dtype=bool), NOT_CHECKABLE: False})
-            one[NOT_CHECKABLE if is_unknown(name) else FAIL] |= values[kept] > 0
-    return [
-        {
-            "rule": what,
-            PASS: int(np.sum(~(one[FAIL] | one[NOT_CHECKABLE]))),
-            FAIL: int(np.sum(one[FAIL])),
-            NOT_CHECKABLE: int(np.sum(one[NOT_CHECKABLE])),
-            "tiles": listed(tiles[one[FAIL]].tolist(), MOST_TILES) if one[FAIL].any() else "",
-        }
-        for what, one in found.items()
-    ]
+            verdicts = found.setdefault(name.what, np.zeros((2, len(tiles)), dtype=bool))
+            verdicts[int(is_unknown(name))] |= values[kept] > 0
+    records = []
+    for what, (fails, unknown) in found.items():
+        counts = {PASS: ~(fails | unknown), FAIL: fails, NOT_CHECKABLE: unknown}
+        records.append({"rule": what, **{name: int(tiles_of.sum()) for name, tiles_of in counts.items()}})
+        records[-1]["tiles"] = listed(tiles[fails].tolist(), MOST_TILES) if fails.any() else ""
+    return records
 
 
 def sentences_of(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray) -> list[str]:

@@ -124,12 +124,8 @@ class Declinations:
         if self.anywhere:
             return vectors
         lon, lat = to_lonlat(vectors)
-        out = (lat < self.low) | (lat > self.high)
-        if not out.any():
-            return vectors
-        lat = np.clip(lat, self.low, self.high)
-        inside = from_lonlat(lon, lat)
-        return np.where(out[..., None], inside, vectors)
+        inside = np.clip(lat, self.low, self.high)
+        return np.where((inside != lat)[..., None], from_lonlat(lon, inside), vectors)
 
     def fit(self, vectors: np.ndarray, radius: float) -> np.ndarray:
         """Return the directions that are inside the limits, or outside by less than a radius.

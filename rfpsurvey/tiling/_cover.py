@@ -153,10 +153,8 @@ def _needed(index, centers, radius, margin):
     keep = np.ones(len(centers), dtype=bool)
     for k in np.argsort([len(rows) for rows in touched], kind="stable"):
         depth[sure[k]] -= 1
-        if (depth[touched[k]] > 0).all():
-            keep[k] = False
-        else:
-            depth[sure[k]] += 1
+        keep[k] = not (depth[touched[k]] > 0).all()
+        depth[sure[k]] += keep[k]
     return centers[keep]
 
 

@@ -1,6 +1,7 @@
 """The methods of LAMOST, which place tiles one after the other where targets are dense."""
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 
@@ -189,10 +190,7 @@ def climb(
 def _climb_sum(state: TilingState, center: np.ndarray) -> np.ndarray:
     """Shift a center as long as the number of remaining visits inside the tile increases."""
     index, radius, weight = state.problem.index, state.problem.radius, state.weight
-
-    def visits(places):
-        return index.sum_near(places, radius, weight)
-
+    visits = partial(index.sum_near, radius_rad=radius, weight=weight)
     return climb(center, visits, 0.5 * GRID * radius, 5 * STILL * radius, move=state.problem.where.limits.move_inside)
 
 

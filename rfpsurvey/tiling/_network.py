@@ -29,11 +29,10 @@ def network_flow(problem: TilingProblem) -> TilingState:
 
     By default, the number of tiles is that of a hexagonal lattice that covers the targets.
     """
-    if problem.n_tiles is not None and problem.completeness is None:
-        return _attempt(problem, problem.n_tiles)
-    if problem.completeness is None:
-        return _attempt(problem, _covering_number(problem))
-    return _fewest(problem)
+    if problem.completeness is not None:
+        return _fewest(problem)
+    n = len(_lattice(problem, 2.0, np.sqrt(3) * problem.radius)) if problem.n_tiles is None else problem.n_tiles
+    return _attempt(problem, n)
 
 
 def _fewest(problem: TilingProblem) -> TilingState:
@@ -75,26 +74,20 @@ def _attempt(problem: TilingProblem, n: int) -> TilingState:
     return state
 
 
-def _covering_number(problem: TilingProblem) -> int:
+def _lattice(problem: TilingProblem, margin: float, pitch: float) -> np.ndarray:
+    """Return the centers of a hexagonal lattice with targets, up to ``margin`` radii beyond the circle of targets."""
     center, reach = problem.circle()
-    pitch = np.sqrt(3) * problem.radius
-    centers = lattice(center, reach + 2 * problem.radius, pitch, np.zeros(2))
-    return np.count_nonzero(problem.visits_near(problem.where.limits.fit(centers, problem.radius)))
+    centers = lattice(center, reach + margin * problem.radius, pitch, np.zeros(2))
+    centers = problem.where.limits.fit(centers, problem.radius)
+    return centers[problem.visits_near(centers) > 0]
 
 
 def _uniform(problem: TilingProblem, n: int) -> np.ndarray:
     """Return n centers spread evenly over the targets: a hexagonal lattice whose pitch gives n tiles with targets."""
-    center, reach = problem.circle()
-
-    def make(pitch):
-        centers = lattice(center, reach + 1.5 * problem.radius, pitch, np.zeros(2))
-        centers = problem.where.limits.fit(centers, problem.radius)
-        return centers[problem.visits_near(centers) > 0]
-
-    low, high = 0.0, 3 * (reach + problem.radius)
+    low, high = 0.0, 3 * (problem.circle()[1] + problem.radius)
     pitch = np.sqrt(3) * problem.radius
     for _ in range(25):
-        centers = make(pitch)
+        centers = _lattice(problem, 1.5, pitch)
         if len(centers) == n:
             return centers
         if len(centers) > n:
@@ -120,15 +113,12 @@ class _Cells:
     def __init__(self, problem: TilingProblem):
         rows = np.flatnonzero(problem.wanted > 0)
         nside = _healpix.nside_for(CELL * problem.radius)
-        _, of, count = np.unique(
-            _healpix.pixels_of(nside, problem.index.vectors[rows]), return_inverse=True, return_counts=True
-        )
-        of = of.reshape(-1)
+        pixels = _healpix.pixels_of(nside, problem.index.vectors[rows])
+        _, of, self.count = np.unique(pixels, return_inverse=True, return_counts=True)
         weight = problem.wanted[rows].astype(float)
         self.vectors = np.column_stack([np.bincount(of, weight * problem.index.vectors[rows, k]) for k in range(3)])
         self.vectors /= np.linalg.norm(self.vectors, axis=1)[:, None]
         self.supply = np.bincount(of, weight)
-        self.count = count
         self.index = SkyIndex(self.vectors)
 
 
@@ -150,9 +140,7 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
         centers = centers.copy()
         left = cells.supply - np.bincount(cell, amount, len(cells.supply))
         order = np.argsort(tile, kind="stable")
-        bounds = np.searchsorted(tile[order], np.arange(len(centers) + 1))
-        for k in range(len(centers)):
-            own = order[bounds[k] : bounds[k + 1]]
+        for k, own in enumerate(np.split(order, np.searchsorted(tile[order], np.arange(1, len(centers))))):
             if len(own):
                 centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
             elif left.max() > 0.5:  # move a tile without targets to unassigned targets

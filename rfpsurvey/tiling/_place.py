@@ -30,6 +30,7 @@ from rfpsurvey.instrument import Instrument, as_instrument
 from rfpsurvey.pipeline import CatalogTargets, FieldBuilder
 from rfpsurvey.region import Region
 from rfpsurvey.tiling._centers import Centers, Declinations, given_tiles
+from rfpsurvey.tiling._columns import COLUMNS
 from rfpsurvey.tiling._conditions import times_of_tiles
 from rfpsurvey.tiling._cover import RegionCover, in_any
 from rfpsurvey.tiling._methods import METHODS, check_region_options, warn_of_unused_passes
@@ -212,22 +213,13 @@ def place_tiles(
             warn_no_effect("rng", "without the positioners of an allocator")
     goal = n_tiles or completeness or 1.0
     with Progress(progress, goal, "" if n_tiles is None else "tiles") as line:
-        problem = TilingProblem(
-            radius_rad,
-            index,
-            wanted,
-            number,
-            serve,
-            reach,
-            where=where,
-            passes=passes,
-            n_tiles=n_tiles,
-            completeness=completeness,
-            n_beyond=n_beyond,
-            level=_levels(priority, wanted),
-            tell=lambda n, reached: line(min(reached if n_tiles is None else n, goal)),
-        )
-        state = chosen.place(problem)
+
+        def tell(n, reached):
+            line(min(reached if n_tiles is None else n, goal))
+
+        goals = {"passes": passes, "n_tiles": n_tiles, "completeness": completeness, "n_beyond": n_beyond}
+        others = {"where": where, "level": _levels(priority, wanted), "tell": tell}
+        state = chosen.place(TilingProblem(radius_rad, index, wanted, number, serve, reach, **goals, **others))
     summary.update(fibers=number, **account_of(state, neighbors, n_away), completeness_means=serve.means)
     warn_of_rest(state, n_away, where.limits)
     rows = state.table
@@ -331,17 +323,9 @@ def _levels(priority, wanted):
 
 def _table(vectors, number, where: Centers) -> QTable:
     """Return a table of tiles with the given centers and pass numbers, and with the position angle of ``where``."""
-    n = len(vectors)
     ra, dec = to_ra_dec(vectors)
-    return QTable(
-        {
-            "tile": np.arange(n),
-            "ra": ra * u.deg,
-            "dec": dec * u.deg,
-            "position_angle": np.full(n, where.angle_deg) * u.deg,
-            "pass": np.array(number, dtype=np.int64),
-        }
-    )
+    angles = [values * u.deg for values in (ra, dec, np.full(len(ra), where.angle_deg))]
+    return QTable([np.arange(len(ra)), *angles, np.array(number, dtype=np.int64)], names=COLUMNS)
 
 
 def _finish(table, summary, columns) -> Tiling:

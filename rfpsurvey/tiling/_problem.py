@@ -151,17 +151,14 @@ class TilingState:
             problem.tell(len(self.rows), self.completeness)
         return served
 
-    def give_up(self, center: np.ndarray) -> np.ndarray:
-        """Stop placing tiles for the targets around a center where a tile observed no target; return these targets."""
-        problem = self.problem
-        near = problem.index.near(center, problem.radius, self.weight)
-        if len(near) == 0:
-            near = np.flatnonzero(self.weight > 0)
-        closest = np.argmin(np.linalg.norm(problem.index.vectors[near] - center, axis=1))
-        reach = np.linalg.norm(problem.index.vectors[near] - problem.index.vectors[near[closest]], axis=1)
-        near = near[reach <= 0.1 * problem.radius]
-        self.hopeless[near] = True
-        return near
+    def give_up(self, center: np.ndarray) -> None:
+        """Stop placing tiles for the targets around a center where a tile observed no target."""
+        problem, weight = self.problem, self.weight
+        near = problem.index.near(center, problem.radius, weight)
+        near = near if len(near) else np.flatnonzero(weight > 0)
+        vectors = problem.index.vectors[near]
+        closest = vectors[np.argmin(np.linalg.norm(vectors - center, axis=1))]
+        self.hopeless[near[np.linalg.norm(vectors - closest, axis=1) <= 0.1 * problem.radius]] = True
 
 
 def visit_all(state: TilingState, centers: np.ndarray, number: int | None, *, every: bool = False) -> int:
@@ -208,17 +205,14 @@ def visit_given(problem: TilingProblem) -> TilingState:
 def warn_of_rest(state: TilingState, n_away: int, limits: Declinations) -> None:
     """Issue a warning for goals that are not reached, and for targets that no tile reaches."""
     problem, n = state.problem, len(state.rows)
-    sentences = []
     goal = problem.completeness
     if goal is not None and state.completeness < goal - 1e-12:
         limit = "" if problem.n_tiles is None or n < problem.n_tiles else f"; n_tiles={n} allows no more tiles"
-        sentences.append(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
+        warn(f"{n} tiles reach a completeness of {state.completeness:.4f}, not {goal:g}{limit}")
     if n_away:
-        sentences.append(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
+        warn(f"{n_away} targets are out of reach{limits.words}; they count as not observed")
     if not n:
-        sentences.append("no tile observes any target")
-    for sentence in sentences:
-        warn(sentence)
+        warn("no tile observes any target")
 
 
 def account_of(state: TilingState, neighbors, n_away: int) -> dict:
@@ -237,13 +231,10 @@ def account_of(state: TilingState, neighbors, n_away: int) -> dict:
         "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
     }
     if neighbors is not None:
-        some = np.flatnonzero(wanted > 0)
         indptr, other = neighbors
         # only neighbors with requested visits can be too close
-        near = (
-            np.add.reduceat(np.append(wanted[other] > 0, 0), np.minimum(indptr[:-1], len(other))) * np.diff(indptr) > 0
-        )
-        alone = some[~near[some]]
+        near = np.bincount(np.repeat(np.arange(len(wanted)), np.diff(indptr)), wanted[other] > 0, len(wanted))
+        alone = np.flatnonzero((wanted > 0) & (near == 0))
         account["n_isolated"] = len(alone)
         account["completeness_isolated"] = float(made[alone].sum() / max(wanted[alone].sum(), 1))
     return account

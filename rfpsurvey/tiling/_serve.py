@@ -83,38 +83,27 @@ class FreeFibers:
         keys = [np.arange(len(near))]
         if self.neighbors is not None:
             indptr, other = self.neighbors
-            degree = self._degrees(near, state)
+            first, size = indptr[near], indptr[near + 1] - indptr[near]
+            of_pair = np.repeat(np.arange(len(near)), size)
+            too_close = other[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
+            degree = np.bincount(of_pair[np.isin(too_close, near)], minlength=len(near))
             keys.append(degree)
         if state.chances is not None:
             keys.append(state.chances[near])
         if self.priority is not None:
             keys.append(-self.priority[near])
         order = np.lexsort(keys)
-        if self.neighbors is None:
-            return near[np.sort(order[: self.fibers])]
-        taken = np.zeros(len(near), dtype=bool)
-        taken[degree == 0] = True
-        blocked, where = set(), near.tolist()
-        for k in order[degree[order] > 0].tolist():
-            here = where[k]
-            if here not in blocked:
-                taken[k] = True
-                blocked.update(other[indptr[here] : indptr[here + 1]].tolist())
-        order = order[taken[order]]
+        if self.neighbors is not None:
+            taken, blocked = degree == 0, set()
+            for k in order[degree[order] > 0].tolist():
+                if near[k] not in blocked:
+                    taken[k] = True
+                    blocked.update(other[first[k] : first[k] + size[k]].tolist())
+            order = order[taken[order]]
         return near[np.sort(order[: self.fibers])]
 
-    def _degrees(self, near, state):
-        """Return, for each target, the number of targets that still require a visit and are too close to it."""
-        indptr, other = self.neighbors
-        degree = indptr[near + 1] - indptr[near]
-        some = np.flatnonzero(degree)
-        inside = set(near[some].tolist())
-        degree = degree.copy()
-        for k in some.tolist():
-            degree[k] = sum(o in inside for o in other[indptr[near[k]] : indptr[near[k] + 1]].tolist())
-        return degree
 
-
+@dataclass(eq=False)
 class FocalPlaneFibers(FieldsOfTiles):
     """The positioners of an instrument with an allocator; tiles are planned as in a survey.
 
@@ -126,34 +115,34 @@ class FocalPlaneFibers(FieldsOfTiles):
         The targets, and the allocator with its options.
     fibers : Fibers
         Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
-    tiles : Tiling or float
+    tiling : Tiling or float
         The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
     seed : int
         Seed of the random numbers; each tile has its own stream.
-    reference : Time, optional
+    reference : Time or None
         Epoch of the targets, if they are moved to the times of the tiles.
     """
 
-    def __init__(
-        self,
-        instrument: Instrument,
-        builder: FieldBuilder,
-        fibers: Fibers,
-        tiles: Tiling | float,
-        seed: int,
-        reference: Time | None = None,
-    ):
-        self.instrument, self.builder, self.fibers = instrument, builder, fibers
-        self.tiling, self.seed, self.reference, self.source = tiles, seed, reference, builder.source
-        if not isinstance(tiles, Tiling):
+    instrument: Instrument
+    builder: FieldBuilder
+    fibers: Fibers
+    tiling: Tiling | float
+    seed: int
+    reference: Time | None
+
+    def __post_init__(self):
+        self.source = self.builder.source
+        if not isinstance(self.tiling, Tiling):
             self.places, self.conditions, self.reference = None, None, None
-        lost = "is not observed" if fibers.lost_in_collision else "counts as observed"
-        self.means = f"the allocator {builder.options.name} plans each tile; a target whose arm collides {lost}"
+        lost = "is not observed" if self.fibers.lost_in_collision else "counts as observed"
+        self.means = f"the allocator {self.builder.options.name} plans each tile; a target whose arm collides {lost}"
 
     def __call__(self, center, near, state):
         """Return the targets that a tile observes; ``near`` lists the targets in its field that require a visit."""
         number = len(state.rows)
-        plane, builder = self._projection(center, number), self.builder
+        place = [*np.concatenate(to_ra_dec(center[None])), self.tiling] if self.places is None else self.places[number]
+        conditions, builder = None if self.conditions is None else self.conditions[number], self.builder
+        plane = self.instrument.field_projection(*np.deg2rad(place), conditions)
         years = 0.0 if self.years is None else float(self.years[number])
         left = state.left if builder.reusable is None else np.where(builder.reusable, 1.0, state.left)
         slot, _, targets = builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
@@ -170,14 +159,6 @@ class FocalPlaneFibers(FieldsOfTiles):
             order = served[np.lexsort([key[served] for key in keys])]
             served = np.sort(order[: self.fibers.number])
         return slot[served]
-
-    def _projection(self, center, number):
-        """Return the projection of the sky onto the focal plane for the tile with the given number."""
-        if self.places is None:
-            (ra,), (dec,) = to_ra_dec(center[None])
-            return self.instrument.field_projection(*np.deg2rad([ra, dec, self.tiling]))
-        conditions = None if self.conditions is None else self.conditions[number]
-        return self.instrument.field_projection(*np.deg2rad(self.places[number]), conditions)
 
 
 def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.ndarray, np.ndarray]:

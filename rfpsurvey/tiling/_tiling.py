@@ -198,16 +198,10 @@ class Tiling:
         meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
         silent = assume_units or is_plain or bool(said) or is_of_pfs(table)
         n, found = len(table), read_angles(table, names, units, silent=silent)
-        result = QTable(
-            {
-                "tile": to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n),
-                "ra": found["ra"],
-                "dec": found["dec"],
-                "position_angle": found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names),
-                "pass": table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64),
-            },
-            meta=meta,
-        )
+        tile = to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n)
+        angle = found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names)
+        number = table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64)
+        result = QTable([tile, found["ra"], found["dec"], angle, number], names=COLUMNS, meta=meta)
         for name in table.colnames:
             if name not in names.values() and name not in COLUMNS:
                 result[name] = table[name]
@@ -319,9 +313,8 @@ def to_ra_dec(vectors: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def place_of(ra, dec) -> np.ndarray:
     """Return two integers for each center (degrees); centers that agree to 1e-8 deg have the same integers."""
-    return np.column_stack([np.rint(np.asarray(ra) * 1e8) % round(360e8), np.rint(np.asarray(dec) * 1e8)]).astype(
-        np.int64
-    )
+    ra, dec = (np.rint(np.asarray(angle) * 1e8) for angle in (ra, dec))
+    return np.column_stack([ra % round(360e8), dec]).astype(np.int64)
 
 
 def _integers(column, tile):

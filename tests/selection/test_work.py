@@ -9,7 +9,7 @@ from realizations import sky_of, tiles_of
 from rfpsurvey._kernels.batch import BORDERLINE
 from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.selection import _work
-from rfpsurvey.selection._work import Poses
+from rfpsurvey.selection._work import find_lost
 
 D = 4.5
 
@@ -35,8 +35,7 @@ def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
     pairs = plane.arrays.reach(xy)
     k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
     chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
-    lost = np.empty(chosen.shape, dtype=bool)
-    Poses(plane, FieldReach(None, xy, None, 0.0), pairs, parked_obstacles=False).find_lost(chosen, lost)
+    lost = find_lost(plane, FieldReach(None, xy, None, 0.0), pairs, chosen, parked_obstacles=False)
     assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
     assert len(calls) == (abs(gap - D) < 0.1)
 
@@ -46,10 +45,8 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
     unit = rs.Positioner(8 * u.mm, 8 * u.mm, D / 2 * u.mm, arm_model="fiber_tip")
     plane = rs.FocalPlane([[-5.0, 0.0], [90.0, 0.0]] * u.mm, unit, obstacles=[[4.25, 0.0, 2.0]] * u.mm)
     xy = np.array([[-gap, 0.0]])
-    lost = np.empty((1, 2), dtype=bool)
-    pairs = plane.arrays.reach(xy)
-    poses = Poses(plane, FieldReach(None, xy, None, 0.0), pairs, parked_obstacles=False)
-    poses.find_lost(np.array([[0, -1]]), lost)
+    reach, pairs = FieldReach(None, xy, None, 0.0), plane.arrays.reach(xy)
+    lost = find_lost(plane, reach, pairs, np.array([[0, -1]]), parked_obstacles=False)
     assert lost.tolist() == [[collides, False]]
     assert len(calls) == (abs(gap) < 0.1)
 

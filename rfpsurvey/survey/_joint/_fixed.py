@@ -12,7 +12,7 @@ from rfpsurvey.allocation import TileCandidates, no_rules
 from rfpsurvey.catalog import SkyIndex, to_time
 from rfpsurvey.errors import InputError, short
 from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.pipeline import FieldBuilder, project_field
+from rfpsurvey.pipeline import FieldBuilder, FieldTargets, project_field
 from rfpsurvey.survey._survey import Survey
 from rfpsurvey.survey._work import projection_of
 from rfpsurvey.tiling import Tiling, places_of_tiles, when_of
@@ -83,7 +83,7 @@ def fixed_tiles(request) -> dict[int, TilePlan]:
             raise InputError(
                 f"fixed must be a survey of the targets of this catalog, got other targets or positions in tile {name}"
             )
-        slot = _with_roles(request.builder, field.slot[index], visits)
+        slot = with_roles(request.builder, field.slot[index], visits)
         plan = _plan_of(plane, visits["positioner"], slot, visits["observed"])
         left[plan.spent(request.builder)] -= 1
         bad = np.flatnonzero((left[field.slot[index]] < 0) | ~requested[field.slot[index]])
@@ -117,7 +117,7 @@ def _recorded_tiles(request) -> dict[int, TilePlan]:
         visits = visits[visits["target_row"] >= 0]
         field = request.job(tile, every).field
         base = field.slot[np.searchsorted(field.row, visits["target_row"])]
-        slot = _with_roles(request.builder, base, visits)
+        slot = with_roles(request.builder, base, visits)
         counted = visits["observed"].astype(bool) & ((left[base] > 0) | (slot != base))
         found[tile] = _plan_of(plane, visits["positioner"], slot, counted)
         left[found[tile].spent(request.builder)] -= 1
@@ -138,12 +138,15 @@ def _rows_of(plane: FocalPlane, positioner) -> np.ndarray:
     return np.array([row_of[name] for name in np.asarray(positioner).tolist()], dtype=np.int64)
 
 
-def _with_roles(builder, slot: np.ndarray, visits) -> np.ndarray:
-    """Return the slots of visits, with the number of all slots added for visits without the role science."""
+def with_roles(builder: FieldBuilder, slot: np.ndarray, visits) -> np.ndarray:
+    """Return slots, with the number of all slots added for targets that are visited only in other roles.
+
+    ``visits`` is a table of visits, or the columns of targets (`FieldTargets`), with an element for each slot.
+    """
     if builder.lasting is None:
         return slot
-    is_other = builder.lasting[slot] & ~has_role(np.asarray(visits["kind"]).astype(str), "science")
-    return np.where(is_other, slot + len(builder.left), slot)
+    kind = visits.columns.kind if isinstance(visits, FieldTargets) else np.asarray(visits["kind"]).astype(str)
+    return np.where(builder.lasting[slot] & ~has_role(kind, "science"), slot + len(builder.left), slot)
 
 
 def _check_request(request, survey: Survey) -> None:
@@ -213,13 +216,9 @@ def _text(place: np.ndarray) -> str:
 
 def _targets_of(visits: QTable, field) -> np.ndarray | None:
     """Return, for each visit, the index of its target in the field; None if a target is not there."""
-    index = np.searchsorted(field.row, visits["target_row"])
-    inside = index < len(field.row)
-    index = np.where(inside, index, 0)
-    if not len(visits):
-        return index
-    if not inside.any() or (field.row[index] != visits["target_row"]).any():
+    if not np.isin(visits["target_row"], field.row).all():
         return None
+    index = np.searchsorted(field.row, visits["target_row"])
     if (field.targets.id[index].astype(str) != np.asarray(visits["target_id"]).astype(str)).any():
         return None
     vectors = to_vectors(SkyCoord(visits["ra"], visits["dec"]))
@@ -233,20 +232,9 @@ def candidates_of(fixed: TilePlan, slots: np.ndarray) -> TileCandidates:
     ``slots`` lists the slots of all targets in the field of the tile. Visits that do not count as observations
     are omitted.
     """
-    n = len(fixed.slot)
-    order = np.argsort(slots, kind="stable")
-    target = np.full(n, -1, dtype=np.int32)
-    own = np.flatnonzero(fixed.counted)
+    n, order = len(fixed.slot), np.argsort(slots, kind="stable")
+    target, own = np.full(n, -1, dtype=np.int32), np.flatnonzero(fixed.counted)
     target[own] = order[np.searchsorted(slots[order], fixed.slot[own])]
-    empty = np.empty(0, dtype=np.int32)
-    pairs = own.astype(np.int32), target[own]
-    return TileCandidates(
-        np.arange(n + 1),
-        target,
-        fixed.side,
-        np.zeros(1, dtype=np.int64),
-        empty,
-        np.zeros(n, dtype=bool),
-        pairs,
-        no_rules(n),
-    )
+    cliques = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int32)
+    pairs, shortened = (own.astype(np.int32), target[own]), np.zeros(n, dtype=bool)
+    return TileCandidates(np.arange(n + 1), target, fixed.side, *cliques, shortened, pairs, no_rules(n))

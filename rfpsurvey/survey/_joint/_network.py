@@ -105,12 +105,10 @@ class Network:
         n, m = len(self.start) - 1, len(self.slot)
         tile = np.searchsorted(self.first, own, side="right") - 1
         place, cell = np.unique(tile * m + target, return_inverse=True)
-        cell = cell.reshape(-1)
         simple = min(len(np.unique(own)), np.minimum(np.bincount(place % m, minlength=m), self.visits).sum())
         if len(own) > most_edges or len(own) == 0:
             return float(simple)
         used, own = np.unique(own, return_inverse=True)
-        own = own.reshape(-1)
         n, k = len(used), len(place)
         source, sink = n + k + m, n + k + m + 1
         tail = np.concatenate([np.full(n, source), own, n + np.arange(k), n + k + np.arange(m)])

@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._settings import Settings, not_invertible, option
 from rfpsurvey.allocation import METHODS, AllocationOptions, as_options
-from rfpsurvey.errors import InputError, check_keywords, short
+from rfpsurvey.errors import InputError, check_keywords, short, warn_no_effect
 from rfpsurvey.survey._survey import Survey
 
 ONLY_DIGEST = not_invertible("fixed must be given as an argument of from_record, because records contain only a digest")
@@ -120,6 +120,14 @@ class JointOptions(Settings):
             columns = [np.asarray(visits[column]).tolist() for column in ("target_row", "positioner", "observed")]
             total.update(repr((name, columns)).encode())
         return total.hexdigest()
+
+
+def check_for_cadences(joint: JointOptions) -> None:
+    """Raise an error, or issue a warning, if an option does not apply to targets with cadences."""
+    if joint.fixed is not None:
+        raise InputError("fixed must not be given for a joint plan with cadences")
+    if joint.early:
+        warn_no_effect("early", "with cadences")
 
 
 def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None]:

@@ -4,6 +4,7 @@ The words *candidate* and *set* are explained in the module that defines `Networ
 """
 
 import numpy as np
+from scipy.sparse import csr_array
 
 from rfpsurvey.allocation import WeightedProblem
 from rfpsurvey.survey._joint._network import Network
@@ -32,8 +33,6 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
     shift = rng.uniform(0.35, 0.65)
     while waiting:
         members = waiting.pop()
-        if len(members) == 0:
-            continue
         total = load[members].sum()
         if total <= size or len(members) < 2:
             label[members] = n
@@ -52,47 +51,33 @@ def divide(network: Network, directions: np.ndarray, size: int, rng: np.random.G
 class Patches:
     """The patches of one division of the positioners, and the sets that contain candidates of several patches.
 
-    ``members`` contains the positioners of each patch.
+    ``members`` contains the positioners of each patch, and ``only`` the candidates of the positioners that have a
+    single candidate, and therefore always use it.
     """
 
     def __init__(self, network: Network, label: np.ndarray):
-        self.network, self.label = network, label
+        self.network, self.label, self.only = network, label, network.start[:-1][label < 0]
         order = np.argsort(label, kind="stable")
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
         self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
-        of_entry = label[network.own[network.matrix.indices]]
-        row = np.repeat(np.arange(len(network.most)), np.diff(network.matrix.indptr))
-        inside = of_entry >= 0
-        low, high = np.full(len(network.most), self.n), np.full(len(network.most), -1)
-        np.minimum.at(low, row[inside], of_entry[inside])
-        np.maximum.at(high, row[inside], of_entry[inside])
-        self.crosses = low < high
-        self.crosses[len(low) - network.n_least :] = True  # bounds always use the prices of minima
-        # positioners with only one candidate always use this candidate
-        only = network.start[:-1][label < 0]
+        patch = label[network.own]
+        inside = np.flatnonzero(patch >= 0)
+        part = csr_array((np.ones(len(inside)), (inside, patch[inside])), shape=(len(patch), max(self.n, 1)))
+        self._used = network.matrix @ part  # number of candidates of each set in each patch
+        self.crosses = np.diff(self._used.indptr) > 1
+        self.crosses[len(self.crosses) - network.n_least :] = True  # bounds always use the prices of minima
         x = np.zeros(len(network.target))
-        x[only] = 1.0
+        x[self.only] = 1.0
         self.rest = network.most - network.matrix @ x
-        self._only = only
-        crossing = self.crosses[row] & inside
-        self._links = np.unique(row[crossing] * self.n + of_entry[crossing])
 
     def colors(self) -> list[list[int]]:
         """Return groups of patches such that no set contains candidates of two patches of the same group."""
-        row, patch = np.divmod(self._links, max(self.n, 1))
-        neighbors = [set() for _ in range(self.n)]
-        starts = np.flatnonzero(np.append(True, np.diff(row) != 0)) if len(row) else np.empty(0, dtype=int)
-        found = set()
-        for group in np.split(patch, starts[1:]):
-            found.add(tuple(group.tolist()))
-        for group in found:
-            for one in group:
-                neighbors[one].update(group)
-        color = np.full(self.n, -1)
-        for one in range(self.n):
-            taken = {int(color[other]) for other in neighbors[one]}
-            color[one] = next(k for k in range(self.n + 1) if k not in taken)
+        used, color = self._used[self.crosses], np.full(self.n, -1)
+        neighbors = (used.T @ used).tocsr()
+        for patch in range(self.n):
+            taken = {*color[neighbors.indices[neighbors.indptr[patch] : neighbors.indptr[patch + 1]]].tolist()}
+            color[patch] = next(k for k in range(self.n + 1) if k not in taken)
         return [np.flatnonzero(color == k).tolist() for k in range(int(color.max(initial=-1)) + 1)]
 
     def candidates(self, patch: int) -> tuple[np.ndarray, np.ndarray]:
@@ -160,10 +145,6 @@ class Patches:
         sets = sets[~self.crosses[sets]]
         is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
         return WeightedProblem(start, value[rows[is_open]], *sets, None, NODES_OF_BOUND, GAP, deadline)
-
-    def value_of_rest(self, value: np.ndarray) -> float:
-        """Return the sum of the values of the positioners that have only one candidate."""
-        return float(value[self._only].sum())
 
 
 def _without_full_sets(part, rest, ends, usable=True, is_rule=False):

@@ -23,24 +23,15 @@ class Paths:
 
     def __init__(self, network: Network):
         self.network = network
-        target = np.where(network.rank < network.n_classes, network.target, -1).astype(np.int64)
+        target = np.where(network.rank < network.n_classes, network.target, -1)
         real = np.flatnonzero((target >= 0) & network.usable)
         candidate = real[np.argsort(target[real], kind="stable")]
         number = np.bincount(target[real], minlength=len(network.slot))
         cliques, rules = network.matrix[: network.n_cliques].tocsc(), network.rules.tocsc()
-        self.links = kernels.Links(
-            network.own.astype(np.int64),
-            target,
-            network.rank.astype(np.int64),
-            np.concatenate([[0], np.cumsum(number)]),
-            candidate,
-            cliques.indptr.astype(np.int64),
-            cliques.indices.astype(np.int64),
-            rules.indptr.astype(np.int64),
-            rules.indices.astype(np.int64),
-            rules.data.astype(float),
-            np.zeros(len(network.rule_most)),
-        )
+        indices = [network.own, target, network.rank, np.concatenate([[0], np.cumsum(number)]), candidate]
+        indices += [cliques.indptr, cliques.indices, rules.indptr, rules.indices]
+        room = np.zeros(len(network.rule_most))
+        self.links = kernels.Links(*(one.astype(np.int64) for one in indices), rules.data.astype(float), room)
 
     def improve(
         self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool], limits: np.ndarray

@@ -73,19 +73,16 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             note = "planning one tile after the other"
             plans = first_plans(request, fixed, executor, partial(tell, note=note))
         else:
-            plans = [
-                TilePlan(*columns)
-                for columns in zip(*(stored[name].reshape(n, n_positioners) for name in ("slot", "side")), strict=True)
-            ]
+            slots, sides = (stored[name].reshape(n, n_positioners) for name in ("slot", "side"))
+            plans = list(map(TilePlan, slots, sides))
             tell(n, new=False)
         network, directions, subpriority = list_all(request, plans, fixed, executor)
         goals = [] if has_cadences else goals_of(request, network, subpriority)
-        given = network, place(network, plans)
-        search = (
-            WindowSearch(*given, request)
-            if has_cadences
-            else Search(*given, directions, request.joint, request.seed, stored, len(goals))
-        )
+        chosen = place(network, plans)
+        if has_cadences:
+            search = WindowSearch(network, chosen, request)
+        else:
+            search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
         if stored is None:
             search.begin()
             if request.joint.inform is not None:
@@ -116,18 +113,13 @@ def _store(folder, network, search: Search) -> None:
         return
     plans = plans_of(network, search.chosen)
     seconds = search.seconds if np.isfinite(search.options.seconds) else 0.0  # files of equal searches are equal
-    columns = {
-        "slot": np.concatenate([plan.slot for plan in plans]),
-        "side": np.concatenate([plan.side for plan in plans]),
-        "size": np.array([len(plan.slot) for plan in plans]),
-        "numbers": np.array([search.size, search.iteration, seconds]),
-        "bounds": search.bounds,
-        "next_size": search.next_size,
-        "steps": np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps]),
-    }
+    columns = {name: np.concatenate([getattr(plan, name) for plan in plans]) for name in ("slot", "side")}
+    columns |= {"size": np.diff(network.first), "numbers": np.array([search.size, search.iteration, seconds])}
+    columns |= {"bounds": search.bounds, "next_size": search.next_size}
+    columns["steps"] = np.array([[step.iteration, *step.visits, *step.bound] for step in search.steps])
     if len(search.limits):
         columns |= {"bounds_of_all": search.bounds_of_all, "limits": search.limits}
-    columns |= {f"price{k}": price for k, price in enumerate(search.prices) if price is not None}
+    columns |= {f"price{k}": prices.price for k, prices in enumerate(search.prices) if prices is not None}
     content = io.BytesIO()
     np.savez(content, **columns)
     folder.put_file(STATE, content.getvalue())
@@ -135,18 +127,10 @@ def _store(folder, network, search: Search) -> None:
 
 def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[str, np.ndarray] | None:
     """Return the arrays of the stored state of a search; None if there is no state, or if it is damaged."""
-    per_level, n = ("f8", (n_levels,)), n_tiles * n_positioners
-    expected = {
-        "slot": ("i8", (n,)),
-        "side": ("i1", (n,)),
-        "numbers": ("f8", (3,)),
-        "bounds": per_level,
-        "next_size": per_level,
-        "steps": ("f8", (None, 1 + 2 * n_levels)),
-        "bounds_of_all?": per_level,
-        "limits?": ("f8", (None,)),
-        **{f"price{k}?": ("f8", (None,)) for k in range(n_levels)},
-    }
+    per_level, per_set, n = ("f8", (n_levels,)), ("f8", (None,)), n_tiles * n_positioners
+    expected = {"slot": ("i8", (n,)), "side": ("i1", (n,)), "numbers": ("f8", (3,))}
+    expected |= {"bounds": per_level, "next_size": per_level, "steps": ("f8", (None, 1 + 2 * n_levels))}
+    expected |= {"bounds_of_all?": per_level, "limits?": per_set, **{f"price{k}?": per_set for k in range(n_levels)}}
     found = folder.load(STATE.removesuffix(".npz"), **expected)
     if found is None:
         return None
@@ -163,24 +147,18 @@ def table_of(search: Search, names: list[str]) -> QTable:
         for k, level in enumerate(search.levels.tolist()):
             visits, bound = int(step.visits[k]), max(float(step.bound[k]), float(step.visits[k]))
             gap = 1.0 - visits / bound if bound else 0.0
-            rows.append((step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)))
-    table = QTable(rows=rows, names=("iteration", "priority", "n_visits", "bound", "gap", "seconds"))
-    if search.steps[-1].complete is not None:
-        of_steps = [(step.complete, np.maximum(step.complete, step.bound_complete)) for step in search.steps]
-        columns = (np.concatenate(values) for values in zip(*of_steps, strict=True))
-        for name, values in zip(("n_complete", "bound_complete"), columns, strict=True):
-            table[name] = values.astype(np.int64)
-    n = len(search.levels)
-    first, last, others = rows[:n], rows[-n:], {name: table[name][-n:] for name in table.colnames[6:]}
-    if len(search.limits):
-        others["bound_without_requirements"] = np.maximum(search.bounds_of_all, search.visits)
-    more = [{name: int(values[k]) for name, values in others.items()} for k in range(n)]
-    table.meta["summary"] = {
-        "n_iterations": search.iteration,
-        "levels": [
-            {"priority": name, "n_visits_before": before[2], "n_visits": visits, "bound": bound, "gap": gap, **other}
-            for before, (_, name, visits, bound, gap, _), other in zip(first, last, more, strict=True)
-        ],
-        "gap": max((row[4] for row in last), default=0.0),
-    }
+            row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
+            if step.complete is not None:
+                row += int(step.complete[k]), int(max(step.complete[k], step.bound_complete[k]))
+            rows.append(row)
+    columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", "n_complete", "bound_complete")
+    table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)
+    for k, (before, row) in enumerate(zip(rows[:n], rows[-n:], strict=True)):
+        level = {"priority": row[1], "n_visits_before": before[2], "n_visits": row[2], "bound": row[3], "gap": row[4]}
+        level |= dict(zip(columns[6:], row[6:], strict=False))
+        if len(search.limits):
+            level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
+        levels.append(level)
+    gap = max(level["gap"] for level in levels)
+    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap}
     return table

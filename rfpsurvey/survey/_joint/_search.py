@@ -6,6 +6,7 @@ each other, or all candidates with the same target; a plan may use only a limite
 """
 
 from concurrent.futures import Executor
+from functools import partial
 from time import perf_counter, time
 from typing import NamedTuple
 
@@ -89,7 +90,7 @@ class JointSearch:
         self.levels = levels_of(network.n_classes)
         self.bounds = np.full(len(self.levels), np.inf)
         self.bounds_of_all = self.bounds.copy()
-        self.iteration, self.spent, self._begin = 0, 0.0, perf_counter()
+        self.iteration, self.spent, self._reserved, self._begin = 0, 0.0, 0.0, perf_counter()
         self.steps: list[Step] = []
 
     @property
@@ -103,9 +104,17 @@ class JointSearch:
         small = bool((self.gaps <= self.options.gap).all() and self._may_end)
         return small or self.iteration >= self.options.iterations or self.out_of_time()
 
-    def out_of_time(self) -> bool:
-        """Return whether the time limit has passed."""
-        return self.seconds >= self.options.seconds
+    @property
+    def _limit(self) -> float:
+        """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
+        return self.options.seconds * (1.0 - self._reserved)
+
+    def out_of_time(self, fraction: float | None = None) -> bool:
+        """Return whether a fraction of the time limit has passed.
+
+        By default, this is the time limit without the time that is reserved for the goals.
+        """
+        return self.seconds >= (self._limit if fraction is None else fraction * self.options.seconds)
 
 
 class Search(JointSearch):
@@ -137,15 +146,11 @@ class Search(JointSearch):
         # The size that the patches must reach before the bound of each level is computed again; an iteration that does
         # not lower the bound increases this size.
         self.next_size = np.zeros(len(self.levels))
-        self._prices = [None] * len(self.levels)
+        self.prices: list[RowPrices | None] = [None] * len(self.levels)
+        """Prices of the sets for each level; None for a level without prices."""
         self._paths = Paths(network)
         if state is not None:
             self._restore(state)
-
-    @property
-    def prices(self) -> list:
-        """Prices of the sets for each level; None for a level without prices."""
-        return [None if one is None else one.price for one in self._prices]
 
     def _restore(self, state: dict[str, np.ndarray]) -> None:
         """Continue a search from its stored state."""
@@ -177,19 +182,6 @@ class Search(JointSearch):
         """Whether the search can end when the gaps are small: all bounds are known."""
         return bool(np.isfinite(self.bounds).all())
 
-    def out_of_time(self) -> bool:
-        """Return whether the time limit has passed, without the time that is reserved for the goals."""
-        return self.seconds >= self._limit
-
-    @property
-    def _limit(self) -> float:
-        """Part of the time limit (seconds) that is not reserved for the goals after the visits."""
-        return self.options.seconds * (1.0 - self._reserved)
-
-    def _out_of_time_for_prices(self) -> bool:
-        """Return whether the time for computing the prices before the first iteration has passed."""
-        return self.seconds >= FOR_PRICES * self.options.seconds
-
     def _deadline(self) -> float:
         """Return the value of `time.time` at which the search ends."""
         return time() + self._limit - self.seconds
@@ -202,8 +194,8 @@ class Search(JointSearch):
         self._follow_paths()
         self.bounds_of_all = self.bounds.copy()
         for k in range(len(self.levels)):
-            if self.bounds[k] > self.visits[k] and not self._out_of_time_for_prices():
-                bound = self._prices_of(k).improve(self._weights(k), SWEEPS, self._out_of_time_for_prices)
+            if self.bounds[k] > self.visits[k] and not self.out_of_time(FOR_PRICES):
+                bound = self._prices_of(k).improve(self._weights(k), SWEEPS, partial(self.out_of_time, FOR_PRICES))
                 self.bounds[k] = min(self.bounds[k], np.floor(bound))
         if self._bounded is self.network:
             self.bounds_of_all = self.bounds.copy()
@@ -247,10 +239,10 @@ class Search(JointSearch):
         return (self.network.rank <= self.levels[level]).astype(float)
 
     def _prices_of(self, level) -> RowPrices:
-        if self._prices[level] is None:
+        if self.prices[level] is None:
             network = self._bounded
-            self._prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
-        return self._prices[level]
+            self.prices[level] = RowPrices(network.start, network.matrix, network.most, network.free, network.n_least)
+        return self.prices[level]
 
     def _bound(self, level, patches, executor):
         """Lower the bound of a level by solving the patches as integer programs.
@@ -265,7 +257,7 @@ class Search(JointSearch):
         value = self._weights(level) - network.matrix.T @ cross
         deadline = self._deadline()
         problems = [patches.alone(k, value, deadline) for k in range(patches.n)]
-        total = float(cross @ network.most) + patches.value_of_rest(value)
+        total = float(cross @ network.most) + float(value[patches.only].sum())
         total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
             total += bound
@@ -283,7 +275,7 @@ class Search(JointSearch):
 
     def _improve(self, patches, executor):
         """Improve the plan patch by patch, and prefer targets with low prices among plans of equal value."""
-        network, price = self.network, self._prices[-1]
+        network, price = self.network, self.prices[-1]
         scarce = np.zeros(len(network.target))
         if price is not None:
             n = len(network.most)

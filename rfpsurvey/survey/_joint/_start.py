@@ -8,11 +8,10 @@ from functools import partial
 import numpy as np
 
 from rfpsurvey._executors import map_in_order
-from rfpsurvey._roles import has_role
 from rfpsurvey._units import exact_text
 from rfpsurvey.allocation import GivenPlan, ListCandidates, TileCandidates, to_subpriorities
-from rfpsurvey.pipeline import FieldBuilder, FieldRows
-from rfpsurvey.survey._joint._fixed import TilePlan, candidates_of
+from rfpsurvey.pipeline import FieldBuilder
+from rfpsurvey.survey._joint._fixed import TilePlan, candidates_of, with_roles
 from rfpsurvey.survey._joint._network import Network, make_network
 from rfpsurvey.survey._rounds import run_rounds
 from rfpsurvey.survey._work import Done, Job, plan_of, projection_of
@@ -47,9 +46,10 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
     def enter(tile: int, job: Job, answer: tuple) -> None:
         (target, side), n = answer, len(job.field.slot)
         inside = np.where(target < n, target, -1)
-        slot = np.where(target >= n, n - 2 - target, np.append(job.field.slot, -1)[inside])
+        slots = with_roles(request.builder, job.field.slot, job.field.targets)
+        slot = np.where(target >= n, n - 2 - target, np.append(slots, -1)[inside])
         state.enter(tile, job, Done(None, None, inside, np.ones(len(slot), dtype=bool), np.uint8(0), {}))
-        plans[tile] = TilePlan(with_roles(request.builder, slot, job.field), side)
+        plans[tile] = TilePlan(slot, side)
 
     results = run_rounds(request.rounds, executor, _plan, partial(state.open_job, request), enter, known=fixed)
     for done, _ in enumerate(results, len(fixed) + 1):
@@ -68,7 +68,7 @@ def list_all(
     jobs, slots, n, subpriority, reuse = [], [], len(request.tiling), None, builder.lasting is not None
     for tile in range(n):
         job = request.job(tile, left)
-        slots.append(with_roles(builder, job.field.slot, job.field))
+        slots.append(with_roles(builder, job.field.slot, job.field.targets))
         values = job.field.targets.columns.subpriority
         if given is not None:
             values = to_subpriorities(given, job.field.targets.id, job.field.targets.extra)
@@ -92,14 +92,6 @@ def list_all(
         left, class_of = np.tile(left, 2), np.append(class_of, np.full(len(left), len(names)))
     network = make_network(list(tiles), list(slots), left, class_of, len(names))
     return network, np.concatenate(vectors), subpriority
-
-
-def with_roles(builder: FieldBuilder, slot: np.ndarray, field: FieldRows) -> np.ndarray:
-    """Return slots, with the number of all slots added for targets that the field contains only in other roles."""
-    if builder.lasting is None:
-        return slot
-    others = field.slot[builder.lasting[field.slot] & ~has_role(field.targets.columns.kind, "science")]
-    return np.where(np.isin(slot, others), slot + len(builder.left), slot)
 
 
 def without_roles(builder: FieldBuilder, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -56,17 +56,14 @@ class WindowSearch(JointSearch):
     @property
     def counts(self) -> np.ndarray:
         """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
-        return self._by_level(self._done)
+        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        np.add.at(by_class, self.network.rank_of_target, self._done)
+        return np.cumsum(by_class, axis=0)[self.levels]
 
     @property
     def visits(self) -> np.ndarray:
         """Number of visits of each level."""
         return self.counts[:, 1]
-
-    def _by_level(self, done: np.ndarray) -> np.ndarray:
-        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
-        np.add.at(by_class, self.network.rank_of_target, done)
-        return np.cumsum(by_class, axis=0)[self.levels]
 
     def _counts_of_targets(self) -> np.ndarray:
         """Return whether each target is complete, and its number of visits, in the first plan."""
@@ -124,9 +121,8 @@ class WindowSearch(JointSearch):
             order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
             rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
             state = self.chosen, self._load, self._used, self._done
-            kernels.move(
-                order, rolls, self._links, self._dates, *state, self._cost, self._found, self._work, self._picked, gain
-            )
+            work = self._cost, self._found, self._work, self._picked
+            kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
 
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of complete cadences and of visits of a level."""
@@ -206,7 +202,7 @@ class WindowSearch(JointSearch):
             best = min(best, total)
             if late >= LATE:
                 step, late = step / 2, 0
-            if best < value + 1 or self.seconds >= limit * self.options.seconds:
+            if best < value + 1 or self.out_of_time(limit):
                 break
             more, own_more = usage - 1.0, own_usage - 1.0
             more[(price == 0) & (more < 0)] = own_more[(own == 0) & (own_more < 0)] = 0.0
@@ -236,34 +232,21 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)
     place_of = np.full(len(network.target), -1)
-    place_of[real] = place.reshape(-1)
+    place_of[real] = place
     own = request.source.to_slots(row)
     # standards, sky positions, and copies of targets that are used only in these roles have no cadence
     counted = network.rank_of_target < network.n_classes
     cadence = np.full(n_targets, -1)
     cadence[counted] = own[network.slot[counted]]
     cliques = network.matrix[: network.n_cliques]
-    dates = kernels.Dates(
-        np.where(cadence < 0, len(epochs) - 1, cadence),
-        np.concatenate([[0], np.cumsum([one.shape[1] for one in epochs])]),
-        low,
-        high,
-        n_exp.astype(np.int64),
-        limit,
-        _starts(places // n_tiles, n_targets),
-        places % n_tiles,
-        _starts(place.reshape(-1), len(places)),
-        real[order],
-        cliques.indptr.astype(np.int64),
-        cliques.indices.astype(np.int64),
-        network.usable,
-        network.start[1:] - 1,
-        network.rank_of_target.astype(np.int64),
-        request.days[in_time],
-        request.brightness[in_time],
-        NIGHT,
-    )
-    return dates, place_of, time_of
+    first_epoch = np.cumsum([0, *(one.shape[1] for one in epochs)])
+    of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
+    of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
+    of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
+    of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
+    of_tiles = request.days[in_time], request.brightness[in_time], NIGHT
+    cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
+    return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
 
 
 def _starts(index: np.ndarray, n: int) -> np.ndarray:
