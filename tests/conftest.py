@@ -27,6 +27,11 @@ settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database
 settings.load_profile("rfpsurvey")
 
 
+def _parameters_of(test):
+    """Return the parameters of a test; the indices of pytest differ for equal values of one of several parameters."""
+    return {(name, repr(value)) for name, value in test.callspec.params.items()}
+
+
 @pytest.hookimpl(tryfirst=True)
 def pytest_collection_modifyitems(items):
     """Mark all but ``n`` tests of a function with the marker ``few(n)`` as exhaustive.
@@ -41,8 +46,8 @@ def pytest_collection_modifyitems(items):
     for number, tests in functions.values():
         seen = set()
         for _ in range(min(number, len(tests))):
-            test = max(tests, key=lambda test: len(test.callspec.indices.items() - seen))
-            seen.update(test.callspec.indices.items())
+            test = max(tests, key=lambda test: len(_parameters_of(test) - seen))
+            seen.update(_parameters_of(test))
             tests.remove(test)
         for test in tests:
             test.add_marker("exhaustive")

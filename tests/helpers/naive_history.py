@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass, field
+from functools import lru_cache
 from io import BytesIO
 
 from astropy.io import fits
@@ -25,6 +26,7 @@ class Observation:
         return [one[:3] for one in visits_of(self.plan) if "science" in one[3]]
 
 
+@lru_cache(1000)
 def visits_of(plan: bytes) -> list[tuple]:
     """Return the identifier of the target, the positioner, the success and the roles of each visit of a plan."""
     if not plan:

@@ -1,8 +1,9 @@
-"""Recording, planning and checkpoints that are killed at random moments, and repeated."""
+"""Recording, planning, checkpoints and selection that are killed, or find a full disk, and are repeated."""
 
 import multiprocessing
 import os
 import shutil
+import signal
 import time
 
 import numpy as np
@@ -10,7 +11,10 @@ import pytest
 from living import content, differences, events, instrument, targets, tiling
 
 import rfpsurvey as rs
+from rfpsurvey.selection import _folder
 from rfpsurvey.survey import SurveyState
+
+resource = pytest.importorskip("resource")
 
 pytestmark = [
     pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork"),
@@ -19,13 +23,23 @@ pytestmark = [
 CASE = targets(), instrument(), tiling()
 
 
+FULL = 28
+
+
 def record(folder, table):
-    rs.Survey.read(folder).record(table)
+    rs.Survey.read(folder / "survey").record(table)
 
 
 def plan(folder, first=False):
-    state = None if first else SurveyState.read(folder, CASE[0])
-    rs.plan_survey(*CASE, folder=folder, resume=True, visits=state, allocator="nearest")
+    state = None if first else SurveyState.read(folder / "survey", CASE[0])
+    allocator = rs.AllocationOptions("nearest", subpriority=1)
+    rs.plan_survey(*CASE, folder=folder / "survey", resume=True, visits=state, allocator=allocator)
+
+
+def select(folder):
+    state = SurveyState.read(folder / "survey", CASE[0])
+    options = {"folder": folder / "selection", "resume": True, "allocator": "nearest"}
+    rs.selection_probabilities(state, *CASE[1:], 8, **options)
 
 
 STEPS = [
@@ -38,32 +52,68 @@ STEPS = [
     (record, events(tile=[30, 12], date="2026-01-05")),
     (record, events(tile=12, date="2026-01-03", state="planned")),
     (plan,),
+    (select,),
 ]
 
 
+def kill_after(seconds, function, *arguments):
+    """Call a function in a process that is killed after some seconds, and return whether it still ran."""
+    process = multiprocessing.get_context("fork").Process(target=function, args=arguments)
+    process.start()
+    process.join(seconds)
+    was_alive = process.is_alive()
+    process.kill()
+    process.join()
+    return was_alive
+
+
+def fill_after(seconds, function, *arguments):
+    """Call a function in a process that cannot write after some seconds, and return whether it ended with an error."""
+
+    def call():
+        signal.signal(signal.SIGALRM, lambda *_: resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0)))
+        signal.setitimer(signal.ITIMER_REAL, max(seconds, 1e-6))
+        try:
+            function(*arguments)
+        except rs.InputError as error:
+            os._exit(FULL if "cannot be written" in str(error) else 1)
+
+    process = multiprocessing.get_context("fork").Process(target=call)
+    process.start()
+    process.join()
+    assert process.exitcode in (0, FULL)
+    assert not [*arguments[0].rglob(".rfpsurvey*")]
+    return process.exitcode == FULL
+
+
 @pytest.mark.filterwarnings("ignore:.*recorded positions")
-@pytest.mark.parametrize("n", [6, pytest.param(60, marks=pytest.mark.exhaustive)])
-def test_killed_at_random_moments(tmp_path, rng, n):
-    """Each command is killed up to four times, and then repeated until it ends; ``n`` processes are killed."""
-    context = multiprocessing.get_context("fork")
+@pytest.mark.parametrize(
+    ("interrupt", "n"),
+    [
+        (kill_after, 6),
+        (fill_after, 2),
+        pytest.param(kill_after, 60, marks=pytest.mark.exhaustive),
+        pytest.param(fill_after, 20, marks=pytest.mark.exhaustive),
+    ],
+)
+def test_interrupted_at_random_moments(tmp_path, rng, monkeypatch, interrupt, n):
+    """Each command is interrupted up to four times, and then repeated; ``n`` processes are interrupted."""
+    monkeypatch.setattr(_folder, "EVERY", 0.0)
     expected, seconds = {}, {}
+    (tmp_path / "whole").mkdir()
     for k, (function, *arguments) in enumerate(STEPS):
         begin = time.perf_counter()
         function(tmp_path / "whole", *arguments)
         seconds[k], expected[k] = time.perf_counter() - begin, content(tmp_path / "whole")
     assert len(expected[8]) == 33
-    killed, run = 0, 0
-    while killed < n:
+    interrupted, run = 0, 0
+    while interrupted < n:
         run += 1
-        folder = tmp_path / f"survey-{run}"
+        folder = tmp_path / f"run-{run}"
+        folder.mkdir()
         for k, (function, *arguments) in enumerate(STEPS):
             for _ in range(rng.integers(0, 5)):
-                process = context.Process(target=function, args=(folder, *arguments))
-                process.start()
-                process.join(rng.uniform(0, seconds[k]))
-                killed += process.is_alive()
-                process.kill()
-                process.join()
+                interrupted += interrupt(rng.uniform(0, seconds[k]), function, folder, *arguments)
             function(folder, *arguments)
             assert content(folder) == expected[k], k
 
@@ -72,15 +122,17 @@ def test_killed_at_random_moments(tmp_path, rng, n):
 def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
     """The record and the plan are whole, whichever was first, and the rest is planned as from the recorded state."""
     context = multiprocessing.get_context("fork")
+    (tmp_path / "first").mkdir()
     for function, *arguments in STEPS[:2]:
         function(tmp_path / "first", *arguments)
     begin = time.perf_counter()
     plan(shutil.copytree(tmp_path / "first", tmp_path / "timed"))
     seconds = time.perf_counter() - begin
     for number in range(n):
-        folder = shutil.copytree(tmp_path / "first", tmp_path / f"survey-{number}")
+        home = shutil.copytree(tmp_path / "first", tmp_path / f"run-{number}")
+        folder = home / "survey"
         table = events(tile=[14, 15], date="2026-01-06", positioner="", state=["done", "bad"])
-        processes = [context.Process(target=plan, args=(folder,)), context.Process(target=record, args=(folder, table))]
+        processes = [context.Process(target=plan, args=(home,)), context.Process(target=record, args=(home, table))]
         for process in processes:
             process.start()
         processes[0].join(rng.uniform(0, 1.2 * seconds))
@@ -89,9 +141,10 @@ def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
             process.join()
         assert processes[1].exitcode == 0
         assert len(rs.survey.verify_survey(folder)) == 0
-        plan(folder)
+        plan(home)
         survey = rs.Survey.read(folder)
-        again = rs.plan_survey(*CASE, visits=survey.state(CASE[0]), allocator="nearest")
+        allocator = rs.AllocationOptions("nearest", subpriority=1)
+        again = rs.plan_survey(*CASE, visits=survey.state(CASE[0]), allocator=allocator)
         assert differences(survey, again) == []
         assert survey.tiles["state"].tolist()[:5] == ["done", "planned", "partly", "done", "planned"]
         assert len(rs.survey.verify_survey(folder)) == 0
@@ -101,15 +154,15 @@ def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
 def test_repeated_commands_change_nothing(tmp_path):
     """Regression: equal records of targets were appended again."""
     for function, *arguments in STEPS:
-        function(tmp_path / "survey", *arguments)
-        before = content(tmp_path / "survey")
+        function(tmp_path, *arguments)
+        before = content(tmp_path)
         if function is record or arguments != [True]:
-            function(tmp_path / "survey", *arguments)
-        assert content(tmp_path / "survey") == before
+            function(tmp_path, *arguments)
+        assert content(tmp_path) == before
 
 
 def test_equal_changes_of_targets_are_known(tmp_path):
-    plan(tmp_path / "survey", True)
+    plan(tmp_path, True)
     survey = rs.Survey.read(tmp_path / "survey")
     new = events(target=[1001, 7], visits=[2, 3], ra=[np.nan, 120.0], dec=[np.nan, 30.0], priority=[np.nan, 1.0])
     assert survey.record(new)["n_events"] == 2
@@ -130,7 +183,7 @@ def test_equal_changes_of_targets_are_known(tmp_path):
 @pytest.mark.parametrize("table", [events(tile=11, date="2026-01-03"), events(target=1001, visits=2)])
 def test_files_that_a_killed_record_left_are_removed(tmp_path, table):
     """Regression: temporary files and tables of targets without events remained."""
-    plan(tmp_path / "survey", True)
+    plan(tmp_path, True)
     survey = rs.Survey.read(tmp_path / "survey")
     survey.record(events(target=1002, visits=2))
     shutil.copytree(tmp_path / "survey", tmp_path / "other")
