@@ -1,0 +1,61 @@
+"""Print the times of records, states and status of a survey that is observed in a thousand nights.
+
+Run ``python tests/benchmarks/night_figures.py`` to record two tiles of SDSS-V per night, of which some visits fail, in
+the folder of a survey with 2000 tiles (``--nights N`` for 2 N tiles). The command prints the median time of a record at
+several times, and the times of the status before and after the rest is planned.
+"""
+
+import argparse
+import os
+import tempfile
+import time
+import warnings
+from datetime import date, timedelta
+from pathlib import Path
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import Table
+
+import rfpsurvey as rs
+
+os.environ["SOURCE_DATE_EPOCH"] = "1420070400"  # the survey is planned before the invented dates
+SHOWN = (10, 30, 100, 300, 1000)
+
+
+def main(n_nights: int) -> None:
+    """Record all nights of a survey, and print the times."""
+    warnings.simplefilter("ignore")
+    side = int(np.ceil(np.sqrt(2 * n_nights)))
+    ra, dec = np.meshgrid(np.arange(side) * 2.5 + 100, np.arange(side) * 1.5 - 0.75 * side)
+    tiles = SkyCoord(ra.ravel()[: 2 * n_nights] * u.deg, dec.ravel()[: 2 * n_nights] * u.deg)
+    rng = np.random.default_rng(1)
+    near = np.repeat(np.arange(len(tiles)), 200)
+    offsets = rng.normal(0, 0.5, (2, len(near)))
+    sky = SkyCoord(tiles.ra[near] + offsets[0] * u.deg, tiles.dec[near] + offsets[1] * u.deg)
+    with tempfile.TemporaryDirectory() as place:
+        survey = rs.plan_survey(rs.Catalog(sky), "sdss_apo", tiles, allocator="nearest", folder=Path(place) / "survey")
+        seconds = []
+        for night in range(n_nights):
+            names = [2 * night, 2 * night, 2 * night + 1]
+            failed = ["", str(survey.tile(names[0])["positioner"][0]), ""]
+            day = str(date(2015, 1, 1) + timedelta(night))
+            table = Table({"tile": names, "date": [day] * 3, "state": ["done", "", "done"], "positioner": failed})
+            begin = time.perf_counter()
+            survey.record(table)
+            seconds.append(time.perf_counter() - begin)
+            if night + 1 in SHOWN:
+                print(f"record of night {night + 1:5d}: {np.median(seconds[-9:]):.4f} s", flush=True)
+        for words in ("before", "after"):
+            begin = time.perf_counter()
+            status = survey.status()
+            n = len(status.meta["progress"]["date"])
+            print(f"status of {n} nights {words} the rest is planned: {time.perf_counter() - begin:.2f} s", flush=True)
+            survey = survey.replan()
+
+
+if __name__ == "__main__":
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--nights", type=int, default=1000)
+    main(parser.parse_args().nights)
