@@ -260,18 +260,10 @@ def check_inputs(folder: Path, request: dict) -> None:
 
 
 def write_call(request, call: dict, folder: Path, place: Path) -> None:
-    """Write the plan file of a survey; inputs that no other file describes are written to the folder of the survey.
+    """Write the plan file of a survey to the folder ``place``, for the parameters of `plan_survey` in ``call``.
 
-    Parameters
-    ----------
-    request : Request
-        The request of the survey.
-    call : dict
-        The parameters of `plan_survey`.
-    folder : Path
-        The folder of the survey.
-    place : Path
-        The folder of the plan file, which is another one until a new plan replaces the present plan.
+    This is another folder than that of the survey until a new plan replaces the present plan. Inputs that no other file
+    describes are written to the folder of the survey.
     """
     text_of = inputs.PLAN_FILE.get()
     if text_of is None:
