@@ -53,10 +53,17 @@ class History:
         """Return the recorded event of the same observation; None if there is none."""
         return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
 
-    def targets(self, row: int, plan: str) -> set[str]:
-        """Return the identifiers of the targets of a plan, without empty sky; all identifiers if it is missing."""
-        visits = read_fits_bytes(self.events.plan(row, plan), part_name(row))[0]
-        return {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()}
+    def _read(self, row: int, plan: str) -> tuple[np.ndarray, dict] | None:
+        """Return the visits of a plan and the header of its file; None if the file was removed or is damaged."""
+        try:
+            return read_fits_bytes(self.events.plan(row, plan), part_name(row))
+        except InputError:
+            return None
+
+    def _is_of(self, row: int, plan: str, targets: set[str]) -> bool:
+        """Return whether a plan, without empty sky, has only the given targets."""
+        visits = content[0] if (content := self._read(row, plan)) else None
+        return visits is not None and {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()} <= targets
 
     def plans(self, row: int) -> list[tuple[str, int]]:
         """Return the checksums of the plans of a tile in their order, with the generations that introduced them."""
@@ -76,10 +83,7 @@ class History:
 
     def _is_here(self, row: int, plan: str) -> bool:
         """Return whether a plan was made for the present position of a tile."""
-        try:
-            cards = read_fits_bytes(self.events.plan(row, plan), part_name(row))[1]
-        except InputError:
-            return False
+        cards = content[1] if (content := self._read(row, plan)) else {}
         return np.array_equal([cards.get(name) for name in ("RA", "DEC", "POSANG")], self.place(row)[:3])
 
     def choose_plan(self, row: int, name: str, date: str, named: dict[str, str], targets: set[str]) -> tuple[str, int]:
@@ -105,7 +109,7 @@ class History:
         if not plans or not (is_planned or named or (valid and valid[-1] is not generations[-1])):
             raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
         own = [plan for plan, first in plans if valid and first <= valid[-1].number]
-        by_targets = [plan for plan, _ in plans if targets and not named and self.targets(row, plan) <= targets]
+        by_targets = [plan for plan, _ in plans if targets and not named and self._is_of(row, plan, targets)]
         if by_targets and not {*own[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
         if digest or not own:
@@ -147,10 +151,9 @@ class History:
 
     def _digest(self, row: int, name: str, plan: str) -> str:
         """Return the digest of a plan of a tile in the header of its file; empty text if the plan is missing."""
-        try:
-            visits = read_fits_bytes(self.events.plan(row, plan), f"the plan of tile {name}")[0]
-        except InputError:
+        if (content := self._read(row, plan)) is None:
             return ""
+        visits, _ = content
         return plan_digest(name, visits["positioner"], visits["target_id"])
 
     def _listed(self, row: int, name: str) -> str:
