@@ -74,6 +74,7 @@ def groups_in(folder: Path, column: str) -> dict[str, str]:
     plane = inputs.model_of(keys.instrument).focal_plane
     groups = {name.lower(): numbers for name, numbers in (plane.groups or {}).items()}
     if column.lower() not in groups and (column.lower() != "spectrograph" or len(groups) != 1):
-        raise InputError(f"the column {column} must be a group of the positioners ({listed(groups)}), got {column!r}")
+        text = f"a column of spectrographs must be a group of the positioners of the instrument ({listed(groups)})"
+        raise InputError(f"{text}, got the column {column!r}")
     numbers = groups.get(column.lower(), next(iter(groups.values())))
     return dict(zip(plane.id.astype(str).tolist(), numbers.astype(str).tolist(), strict=True))

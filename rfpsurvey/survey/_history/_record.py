@@ -134,6 +134,8 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
         replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         n = len(events.files)
+        if n == 0:
+            raise InputError(f"{folder} must hold a record that can be undone, got a survey without records")
         if isinstance(number, bool) or not isinstance(number, Integral) or not 0 < number <= n:
             raise refusal(f"the number of the record to undo must be a whole number from 1 to {n}", number, Integral)
         if number in events.undone:

@@ -57,7 +57,7 @@ def test_the_number_of_a_spectrograph_with_a_target_is_not_a_failed_spectrograph
 def test_spectrographs_must_be_those_of_the_instrument(grouped, planned):
     with pytest.raises(rs.InputError, match="spectrograph must be a petal of the instrument, got '7'"):
         grouped[0].record(events(tile=11, date=NIGHT, petal=["", "7"]))
-    with pytest.raises(rs.InputError, match=r"the column petal must be a group of the positioners \(none\)"):
+    with pytest.raises(rs.InputError, match=r"instrument \(none\), got the column 'petal'"):
         rs.Survey.read(planned).record(events(tile=11, date=NIGHT, petal=["", "1"]))
 
 
