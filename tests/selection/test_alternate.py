@@ -16,6 +16,12 @@ INSTRUMENT = "sdss_apo"
 TILES = SkyCoord([120.0, 120.7, 120.0, 120.7, 120.3] * u.deg, [30.0, 30.0, 30.6, 30.6, 30.3] * u.deg)
 
 
+@pytest.fixture(autouse=True)
+def _plans_are_made_before_the_observations(monkeypatch):
+    """Set the date of all plans, so that each observation belongs to the last plan."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1764547200")  # 2025-12-01
+
+
 @pytest.fixture(scope="module")
 def stars():
     sky = rs.synthetic_catalog(
