@@ -147,7 +147,7 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
 def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
     """The tiles that were observed are observed in each realization with its own plans and failures."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    _, state, found = compare(live, stars, tmp_path, allocator, dict.fromkeys((1, 4), [names[::7]]))
+    _, state, found = compare(live, stars, tmp_path, allocator, {row: [names[::7]] for row in (1, 4)})
     assert state.kept[1].failed
     assert state.kept[4].failed
     assert found.requested[5] == 0
@@ -186,7 +186,7 @@ def test_rules_are_applied_to_the_visits_of_each_realization(stars, tmp_path, ru
     more = {"required": targets.id[::7]}
     more |= {} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
     survey, state, _ = compare(
-        life, targets, tmp_path, allocator, dict.fromkeys((0, 1, 4), [[], names[::2]]), RULES[rule], **more
+        life, targets, tmp_path, allocator, {row: [[], names[::2]] for row in (0, 1, 4)}, RULES[rule], **more
     )
     assert (state.left != survey.state(targets).left).sum() > 10
 
