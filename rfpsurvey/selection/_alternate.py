@@ -2,7 +2,7 @@
 
 A survey with events was planned several times. A *generation* is the plan of all tiles that were not observed before.
 In each realization, every generation is planned again with the subpriorities of the realization; the tiles that were
-observed with the plans of this generation are observed again, and the same positioners fail.
+observed with the plans of this generation are observed again, and positioners fail with the same rates.
 """
 
 from collections.abc import Callable, Iterator
@@ -10,14 +10,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey._roles import has_role
 from rfpsurvey.errors import InputError
+from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.pipeline import FieldBuilder
 from rfpsurvey.selection._state import State, to_bits, to_mask
-from rfpsurvey.selection._work import BlockDone
+from rfpsurvey.selection._work import BlockDone, Failures
 from rfpsurvey.survey import Request, SurveyState, visits_without_rule
 
 Observation = tuple[int, tuple[str, ...]]
 """The generation with whose plan a tile was observed, and the names of the positioners that failed."""
+LEAST_IN_GROUP = 8
+"""Number of visits from which the failure of all visits of a group of positioners is a failure of the group."""
 
 
 class Generation(NamedTuple):
@@ -30,16 +34,8 @@ class Generation(NamedTuple):
     """Number of visits of each target that is requested before the rule is applied, in the order of rows."""
     kept: dict[int, Observation]
     """For the row of each tile that was not planned, because it had been observed, its observation as known then."""
-    observed: dict[int, list[tuple[str, ...]]]
-    """For the row of each tile that was observed with this plan, the positioners that failed, as known at each later
-    plan."""
-
-    def failed(self, row: int) -> list[np.ndarray] | None:
-        """Return the rows of the positioners in ``observed`` for a tile; None if the tile was not observed."""
-        if row not in self.observed:
-            return None
-        ids = self.request.instrument.focal_plane.id.astype(str)
-        return [np.flatnonzero(np.isin(ids, names)) for names in self.observed[row]]
+    observed: dict[int, Failures]
+    """For the row of each tile that was observed with this plan, the rates of failures, as known at each later plan."""
 
     def targets_after(self, made: np.ndarray, failed: np.ndarray) -> FieldBuilder:
         """Return the targets, if the given numbers of visits of each target were made and have failed."""
@@ -76,7 +72,7 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
             "selection probabilities of a survey with recorded events need a rule without a table and without a "
             f"function, got a {refused[0]}"
         )
-    states, kept, observed = {}, {}, {}
+    states, kept, known = {}, {}, {}
     numbers = [len(state.events.files)]
     while numbers:
         n = numbers.pop()
@@ -89,13 +85,38 @@ def generations_of(state: SurveyState, prepare: Callable[[SurveyState], Request]
             for row, earlier in states[n].generations().items()
         }
         for row, (earlier, failed) in kept[n].items():
-            known = observed.setdefault(earlier, {}).setdefault(row, [])
-            known += [failed] if failed not in known else []
+            known.setdefault(earlier, {}).setdefault(row, {}).setdefault(failed, states[n].kept[row])
             numbers.append(earlier)
-    return [
-        Generation(n, prepare(states[n]), visits_without_rule(states[n]), kept[n], observed.get(n, {}))
-        for n in sorted(states)
-    ]
+    generations = []
+    for n in sorted(states):
+        request, observed = prepare(states[n]), {}
+        for row, events in known.get(n, {}).items():
+            visits = {failed: state.events.visits(event)[0] for failed, event in events.items()}
+            plane = request.instrument.focal_plane
+            rates = {failed: failure_rates(plane, table, failed) for failed, table in visits.items()}
+            observed[row] = Failures((row, n), rates)
+        generations.append(Generation(n, request, visits_without_rule(states[n]), kept[n], observed))
+    return generations
+
+
+def failure_rates(plane: FocalPlane, visits: np.ndarray, failed: tuple[str, ...]) -> np.ndarray:
+    """Return the probability that each positioner fails in an observation of a tile.
+
+    The probability is the fraction of the visits to science targets that failed, without visits lost to collisions. It
+    is 1 in a group of positioners, such as a petal, of which all visits failed, and these visits do not count.
+    """
+    ids, names = plane.id.astype(str), visits["positioner"].astype(str)
+    counts = visits["observed"].astype(bool) & (visits["target_row"] >= 0)
+    if "kind" in visits.dtype.names:
+        counts &= has_role(visits["kind"], "science")
+    used, single, bad = (np.isin(ids, some) for some in (names, names[counts], failed))
+    whole = np.zeros(len(ids), dtype=bool)
+    for group in (*plane.spectrograph.reshape(len(ids), -1).T, *(plane.groups or {}).values()):
+        number = np.unique(group, return_inverse=True)[1]
+        n_used, n_good = np.bincount(number, used), np.bincount(number, used & ~bad)
+        whole |= ((n_used >= LEAST_IN_GROUP) & (n_good == 0))[number]
+    rate = bad[single & ~whole].mean() if (single & ~whole).any() else 0.0
+    return np.where(whole, 1.0, rate) if whole.any() else np.broadcast_to(rate, len(ids))
 
 
 class History:
@@ -118,7 +139,7 @@ class History:
 
         ``targets`` are the rows of the targets of its field, and ``own`` selects those whose visits count.
         """
-        good = {failed: mask[own] for failed, mask in zip(generation.observed[row], done.good, strict=True)}
+        good = {failed: mask[own] for failed, mask in zip(generation.observed[row].rates, done.good, strict=True)}
         self._visits[row, generation.number] = targets[own], done.mask[own], good, done.counts
 
     def _add(self, row: int, observation: Observation, sign: int) -> None:
@@ -171,8 +192,8 @@ def plan_history(
     n : int
         Number of realizations of the block.
     plan_rounds : callable
-        Function of a request, rounds of tiles, a `State` and `Generation.failed` that plans the tiles, records them in
-        the state, and yields the results as `run_rounds` does.
+        Function of a request, rounds of tiles, a `State` and a function that returns the `Failures` of a tile. It plans
+        the tiles, records them in the state, and yields the results as `run_rounds` does.
 
     Returns
     -------
@@ -184,7 +205,7 @@ def plan_history(
     history = History(len(generations[-1].request.source), n)
     for generation in generations:
         now = history.open_state(generation)
-        for tile, job, done, _ in plan_rounds(generation.request, generation.rounds, now, generation.failed):
+        for tile, job, done, _ in plan_rounds(generation.request, generation.rounds, now, generation.observed.get):
             if tile in generation.observed:
                 own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
                 history.keep(tile, generation, job.field.row, done, own)

@@ -123,7 +123,7 @@ def _plan_rounds(
 ) -> Iterator[tuple]:
     """Plan the tiles of all rounds for the realizations of a block, and yield the results as `run_rounds` does.
 
-    The function ``failed`` of the row of a tile returns the positioners that failed when the tile was observed.
+    The function ``failed`` of the row of a tile returns its `Failures`; None if the tile was not observed.
     """
     has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
     if not together:

@@ -58,7 +58,8 @@ def selection_probabilities(
     catalog : Catalog, PartitionedCatalog, SkyCoord, Table, DataFrame or SurveyState
         The targets, with the requested number of visits of each target. If the state of a survey is given
         (`Survey.state`), each realization repeats its recorded observations: it plans the tiles again whenever the
-        survey was planned again, and the same tiles are observed, in which the same positioners fail.
+        survey was planned again, and the same tiles are observed, in which positioners fail at random with the
+        measured rates.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Survey, Table or SkyCoord

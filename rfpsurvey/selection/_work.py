@@ -15,6 +15,25 @@ from rfpsurvey.pipeline import FieldReach
 from rfpsurvey.survey import Job, reach_of, work
 
 
+class Failures(NamedTuple):
+    """The failures of positioners when a tile was observed."""
+
+    key: tuple[int, int]
+    """Row of the tile, and number of the generation with whose plan it was observed."""
+    rates: dict[tuple[str, ...], np.ndarray]
+    """For the names of the positioners that failed, as known at different times, the probability that each positioner
+    fails."""
+
+    def draw(self, seeds: tuple[int, ...]) -> np.ndarray:
+        """Return which positioners fail for each element of ``rates``, each seed of a realization, and each positioner.
+
+        All elements of ``rates`` are compared with the same random numbers.
+        """
+        rates = np.array([*self.rates.values()])
+        random = [np.random.default_rng([seed, *self.key]).random(rates.shape[1]) for seed in seeds]
+        return np.array(random) < rates[:, None]
+
+
 class BlockJob(NamedTuple):
     """The input of `plan_together` and `plan_alone`: one tile, and the realizations for which it is planned."""
 
@@ -24,9 +43,12 @@ class BlockJob(NamedTuple):
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
     """Seed of each realization."""
-    failed: list[np.ndarray] | None = None
-    """Rows of the positioners that failed when the tile was observed, as known at different times; None if it was not
-    observed."""
+    failed: Failures | None = None
+    """The failures of positioners when the tile was observed; None if it was not observed."""
+
+    def draw(self) -> np.ndarray | tuple:
+        """Return the result of `Failures.draw`; an empty tuple if the tile was not observed."""
+        return () if self.failed is None else self.failed.draw(self.seeds)
 
 
 class BlockDone(NamedTuple):
@@ -37,7 +59,7 @@ class BlockDone(NamedTuple):
     counts: np.ndarray
     """For each realization, the number of positioners with a target, and the number of targets lost to a collision."""
     good: list[np.ndarray]
-    """Masks as ``mask``, without the visits of the positioners in each element of ``failed``."""
+    """Masks as ``mask``, without the visits of the positioners that fail, for each element of `Failures.rates`."""
 
 
 def plan_together(given: BlockJob) -> BlockDone:
@@ -48,17 +70,15 @@ def plan_together(given: BlockJob) -> BlockDone:
     mask, counts = np.zeros(len(given.left), dtype=np.uint32), np.zeros((n, 2), dtype=np.int64)
     pairs, chosen = choose_pairs(reach, given)
     if len(pairs.owner) == 0:
-        return BlockDone(mask, counts, [mask] * len(given.failed or ()))
+        return BlockDone(mask, counts, [mask] * len(given.draw()))
     lost = np.zeros(chosen.shape, dtype=bool)
     if job.model.lost_in_collision:
         lost = find_lost(plane, reach, pairs, chosen, parked_obstacles=job.model.options.parked_obstacles)
     kernels.mark_visits(chosen, lost, pairs.target, mask, counts)
     good = []
-    for rows in given.failed or ():
+    for fails in given.draw():
         good.append(np.zeros_like(mask))
-        without = lost.copy()
-        without[:, rows] = True
-        kernels.mark_visits(chosen, without, pairs.target, good[-1], np.empty_like(counts))
+        kernels.mark_visits(chosen, lost | fails, pairs.target, good[-1], np.empty_like(counts))
     return BlockDone(mask, counts, good)
 
 
@@ -102,7 +122,7 @@ def plan_alone(given: BlockJob) -> BlockDone:
         return (visited & (given.left[:, 0] > 0)).astype(np.uint32)  # others are only standards or sky positions
 
     mask = mask_of(observed)
-    good = [mask_of(observed & ~np.isin(done.visits["positioner"], ids[rows])) for rows in given.failed or ()]
+    good = [mask_of(observed & ~np.isin(done.visits["positioner"], ids[fails])) for (fails,) in given.draw()]
     lost = done.counts["n_colliding_assigned"] if given.job.model.lost_in_collision else 0
     return BlockDone(mask, np.array([[done.counts["n_assigned"], lost]]), good)
 

@@ -9,10 +9,17 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey.survey import VisitRule
+from rfpsurvey.selection._alternate import Generation, generations_of
+from rfpsurvey.survey import SurveyState, VisitRule, prepare_request
 
 INSTRUMENT = "sdss_apo"
 TILES = SkyCoord([120.0, 120.7, 120.0, 120.7, 120.3] * u.deg, [30.0, 30.0, 30.6, 30.6, 30.3] * u.deg)
+
+
+@pytest.fixture(autouse=True)
+def _plans_are_made_before_the_observations(monkeypatch):
+    """Set the date of all plans, so that each observation belongs to the last plan."""
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", "1764547200")  # 2025-12-01
 
 
 @pytest.fixture(scope="module")
@@ -35,11 +42,11 @@ def observe(survey, tile, date, failed=(), fraction=1.0):
 def live(plan, stars, failed):
     """Plan a survey, record three nights, plan the rest after each night, and return the last plan and its state."""
     survey = plan()
-    observe(survey, 1, "2026-01-03", failed[1])
+    observe(survey, 1, "2026-01-03", failed[1][-1])
     observe(survey, 4, "2026-01-03", fraction=0.5)
     observe(survey, 3, "2026-01-03", fraction=0.0)
     survey = plan(survey)
-    observe(survey, 0, "2026-01-04", failed.get(0, ()))
+    observe(survey, 0, "2026-01-04", failed.get(0, [()])[-1])
     dropped = [5, *range(20, 600, 20)]
     table = Table({"target": [10**6, *dropped], "state": ["added", *["dropped"] * len(dropped)]})
     for name, value in {"ra": 120.3, "dec": 30.3, "priority": 5}.items():
@@ -48,18 +55,18 @@ def live(plan, stars, failed):
     fewer = [*range(1, 600, 3)]  # some of these targets were observed twice
     survey.record(Table({"target": fewer, "visits": [1] * len(fewer)}))
     survey = plan(survey)
-    observe(survey, 4, "2026-01-05", failed[4])
+    observe(survey, 4, "2026-01-05", failed[4][-1])
     return plan(survey)
 
 
 def live_and_correct(plan, stars, failed):
     """Plan a survey whose observations are completed and corrected after the rest was planned."""
     survey = plan()
-    observe(survey, 1, "2026-01-03")
+    observe(survey, 1, "2026-01-03", failed[1][0])
     observe(survey, 4, "2026-01-03", fraction=0.5)
     survey = plan(survey)
     observe(survey, 0, "2026-01-04")
-    observe(survey, 1, "2026-01-03", failed[1])  # the failures are reported late
+    observe(survey, 1, "2026-01-03", failed[1][-1])  # these failures are reported late
     survey = plan(survey)
     survey.record(Table({"tile": [0, 3], "date": ["2026-01-04", ""], "state": ["bad", "dropped"]}))
     survey = plan(survey)
@@ -67,9 +74,33 @@ def live_and_correct(plan, stars, failed):
     return plan(survey)
 
 
-def compare(life, stars, tmp_path, allocator, failed, rule=None, n=2, **options):
-    """Compare realizations with surveys of the same seeds that are observed in the same way.
+def plans_of(state: SurveyState, allocator: rs.AllocationOptions) -> list[Generation]:
+    def prepare(state):
+        usual = {"passes": None, "epoch": None, "lost_in_collision": True, "executor": None}
+        return prepare_request(state.catalog, INSTRUMENT, TILES, visits=state, allocator=allocator, **usual)
 
+    return generations_of(state, prepare)
+
+
+def drawn(generations: list[Generation], seed: int) -> dict[int, list[list[str]]]:
+    """Return the positioners that fail in each observed tile of a realization, for each time in the order of reports.
+
+    All reports on a tile add failures, so that the first of them is the shortest.
+    """
+    failed = {}
+    for generation in generations:
+        ids = generation.request.instrument.focal_plane.id
+        for row, failures in generation.observed.items():
+            fails = dict(zip(failures.rates, failures.draw((seed,))[:, 0], strict=True))
+            assert row not in failed
+            failed[row] = [ids[fails[names]].tolist() for names in sorted(fails, key=len)]
+    return failed
+
+
+def compare(life, stars, tmp_path, allocator, failed, rule=None, n=2, **options):
+    """Compare realizations with surveys of the same seeds in which the positioners fail that the realizations draw.
+
+    ``failed`` are the positioners that fail in the survey, for each tile and each time at which they are reported.
     Return the survey, its state and the realizations.
     """
 
@@ -84,13 +115,11 @@ def compare(life, stars, tmp_path, allocator, failed, rule=None, n=2, **options)
 
     survey = repeat(tmp_path / "survey", 0, 1, failed)
     state = survey.state(stars, rule=rule)
-    # what failed is known only for positioners that had a target
-    failed = {row: list(event.failed) for row, event in state.kept.items()}
-    found = rs.selection_probabilities(
-        state, INSTRUMENT, TILES, n, allocator=rs.AllocationOptions(allocator, **options)
-    )
+    asked = rs.AllocationOptions(allocator, **options)
+    found = rs.selection_probabilities(state, INSTRUMENT, TILES, n, allocator=asked)
+    generations = plans_of(state, asked)
     for r, seed in enumerate(found.realizations["seed"].tolist()):
-        own = repeat(tmp_path / f"{r}", seed, seed, failed)
+        own = repeat(tmp_path / f"{r}", seed, seed, drawn(generations, seed))
         np.testing.assert_array_equal(found.observed_in(r), np.asarray(own.outcomes["observed"]) > 0)
         assert found.realizations["n_observed"][r] == own.summary["n_visits_observed"]
     return survey, state, found
@@ -102,7 +131,7 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
     """Regression: realizations omitted partly observed tiles, plans after which an observation was corrected, and the
     order in which failures were reported."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    survey, state, found = compare(live_and_correct, stars, tmp_path, allocator, {1: names[::3]})
+    survey, state, found = compare(live_and_correct, stars, tmp_path, allocator, {1: [names[::6], names[::3]]})
     assert len(state.kept[1].failed) > 20
     assert len(state.begun) == 1
     kept = [0, 1, 2, 4]  # the last tile was dropped
@@ -116,9 +145,9 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
 @pytest.mark.filterwarnings("ignore:rng has no effect")
 @pytest.mark.parametrize("allocator", ["nearest", "balanced", "lamost_rule", "repair"])
 def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
-    """The tiles that were observed are observed in each realization with its own plans; the same positioners fail."""
+    """The tiles that were observed are observed in each realization with its own plans and failures."""
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
-    _, state, found = compare(live, stars, tmp_path, allocator, dict.fromkeys((1, 4), names[::7]))
+    _, state, found = compare(live, stars, tmp_path, allocator, {row: [names[::7]] for row in (1, 4)})
     assert state.kept[1].failed
     assert state.kept[4].failed
     assert found.requested[5] == 0
@@ -133,7 +162,7 @@ def test_visits_to_standards_are_not_counted(stars, tmp_path, allocator, kinds):
     kind = np.random.default_rng(3).choice(kinds, len(stars), p=[0.6, 0.3, 0.1])
     targets = rs.Catalog(stars.coord, priority=stars.priority, visits=stars.visits, kind=kind)
     more = {"required": targets.id[::10]} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
-    compare(live, targets, tmp_path, allocator, {1: [], 4: []}, **more)
+    compare(live, targets, tmp_path, allocator, {1: [()], 4: [()]}, **more)
 
 
 RULES = [VisitRule(after_success=3), VisitRule(retries=0), VisitRule(visits=2, after_success=4, retries=1)]
@@ -157,7 +186,7 @@ def test_rules_are_applied_to_the_visits_of_each_realization(stars, tmp_path, ru
     more = {"required": targets.id[::7]}
     more |= {} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
     survey, state, _ = compare(
-        life, targets, tmp_path, allocator, dict.fromkeys((0, 1, 4), names[::2]), RULES[rule], **more
+        life, targets, tmp_path, allocator, {row: [[], names[::2]] for row in (0, 1, 4)}, RULES[rule], **more
     )
     assert (state.left != survey.state(targets).left).sum() > 10
 
