@@ -156,26 +156,30 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
 
 def _check_undo(events: Events, file: EventFile, undone: int) -> None:
     """Raise an error if later records depend on a file that was undone; ``events`` are the events afterward."""
-    known: set[tuple] = set()
+    states, known = TileStates(()), set()
+    moved = {event.row for event in file.tiles if event.place and event.row < file.n_tiles}
     for number in range(1, len(events.files) + 1):
         for event in events.of_file(number):
-            if event.state == TileState.PLANNED:
-                known = {key for key in known if key[0] != event.row}
-            elif not event.has_state and event.observation not in known:
+            attempts = states.of(event.row)
+            others = [one for one in attempts if one.observation != event.observation]
+            is_done = any(one.state == TileState.DONE for one in others)
+            same_date = [one for one in others if event.plan and one.date == event.date != ""]
+            reasons = {
+                "changes visits of its observation": not event.has_state and event.observation not in known,
+                "is an observation at its new position": bool(event.plan and event.row in moved and number > undone),
+                "moves it, although it would be observed": bool(event.place and attempts),
+                "observes it, although it would be finished": event.state == TileState.DONE and is_done,
+                "drops it, although it would be finished": event.state == TileState.DROPPED and is_done,
+                "states another plan of its observation": bool(same_date),
+            }
+            if reason := next((reason for reason, applies in reasons.items() if applies), None):
                 raise InputError(
-                    f"record {number} must be undone before record {undone}, because it changes visits of tile "
-                    f"{event.tile}, whose observation record {undone} states"
+                    f"record {number} must be undone before record {undone}, because it concerns the same tile "
+                    f"{event.tile}, and {reason}"
                 )
+            states.add(event)
+            known = {key for key in known if event.state != TileState.PLANNED or key[0] != event.row}
             known.add(event.observation)
-    states = TileStates(events.of_tiles())
-    moved = {event.row for event in file.tiles if event.place and event.row < file.n_tiles}
-    for row in states.rows():
-        done = [event for event in states.of(row) if event.state == TileState.DONE]
-        if len(done) > 1 or (row in moved and states.of(row)):
-            raise InputError(
-                f"later records of tile {states.of(row)[0].tile} must be undone before record {undone}, because the "
-                f"tile {'would be observed twice' if len(done) > 1 else 'was observed at its new position'}"
-            )
 
 
 def _folder_of(survey) -> Path:
