@@ -70,7 +70,7 @@ class Living:
         Raises
         ------
         InputError
-            If a tile, positioner or target is unknown, if an observation is earlier than the plan of its tile, if a
+            If a tile, positioner or target is unknown, if the plan with which a tile was observed is not clear, if a
             value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
         """
         from rfpsurvey.survey._continue import groups_in

@@ -106,9 +106,15 @@ class History:
         else:
             is_clear = len(dict(plans)) == 1 or not any(self._last_dates)
             valid = generations if is_clear else []
-        if not plans or not (is_planned or named or (valid and valid[-1] is not generations[-1])):
+        if not plans:
             raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
         own = [plan for plan, first in plans if valid and first <= valid[-1].number]
+        if not (is_planned or named or (valid and valid[-1] is not generations[-1])):
+            own = []  # the tile is dropped in the present plan
+        if text and own and dict(plans)[own[-1]] < int(text):
+            # the plan of this generation may have been replaced on its day, and was not kept then
+            days = {generation.number: generation.date for generation in generations}
+            own = [] if any(first > int(text) and days.get(first) == valid[-1].date for _, first in plans) else own
         by_targets = [plan for plan, _ in plans if targets and not named and self._is_of(row, plan, targets)]
         if by_targets and not {*own[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)

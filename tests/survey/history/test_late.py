@@ -124,3 +124,22 @@ def test_a_survey_that_is_not_planned_again_keeps_the_dates_of_its_plans(case, s
     for _ in range(2):
         replan(9, again)
     assert again.record(events(tile=12, date="2026-01-05"))["n_events"] == 1
+
+
+def test_a_generation_whose_plan_was_not_kept_is_refused(replanned):
+    """Regression: the observation was credited to the plan before this generation."""
+    replan, again = replanned
+    again.record(events(target=again.tile(12)["target_id"][:2].tolist(), state="dropped"))
+    again = replan(5, again)
+    refuse(again, events(tile=12, date="2026-01-05", generation=2), "must be one of .* got generation '2'; give")
+
+
+def test_the_plan_of_a_tile_that_is_dropped_in_the_present_plan_is_named(replanned):
+    """Regression: the error stated that the tile had no plan, although the targets of the table are those of a plan."""
+    replan, again = replanned
+    names = again.tile(12)["target_id"].tolist()
+    again.record(events(tile=12, state="dropped"))
+    again, late = replan(9, again), {"tile": 12, "date": "2026-01-09"}
+    refuse(again, events(**late), "must be one of .* got 2026-01-09; give its digest")
+    again.record(events(**late, target=["", *map(str, names)], good=True))
+    assert credited(again, 12) == names
