@@ -46,8 +46,7 @@ def locked(path: Path, lock: Path | None = None, *, wait: float = 0.0):
     try:
         if taken:
             kind = "file" if lock is None else "folder"
-            text = f"{path}: another run uses this {kind}; wait until it ends, or give another {kind}"
-            raise InputError(text)
+            raise InputError(f"{path}: another run uses this {kind}; wait until it ends, or give another {kind}")
         with temporary(own) if lock is None else nullcontext():
             yield
     finally:
@@ -89,8 +88,9 @@ class RequestFolder:
         is_new = not self.path.exists()
         with written(self.path):
             self.path.mkdir(exist_ok=True)
-            if not self._begun:
-                self._refuse_others()
+            for entry in () if self._begun else self.path.iterdir():
+                if entry.name != LOCK and not entry.name.startswith(TEMPORARY_PREFIX):
+                    raise InputError(f"{self.path} must be a new or empty folder, got one that contains {entry.name}")
         self._lock = locked(self.path, self.path / LOCK)
         self._lock.__enter__()
         try:
@@ -115,11 +115,6 @@ class RequestFolder:
     @property
     def _begun(self) -> bool:
         return (self.path / self.request_name).is_file()
-
-    def _refuse_others(self):
-        for entry in self.path.iterdir():
-            if entry.name != LOCK and not entry.name.startswith(TEMPORARY_PREFIX):
-                raise InputError(f"{self.path} must be a new or empty folder, got one that contains {entry.name}")
 
     def _open(self):
         if self._begun and not self._resume:
@@ -278,18 +273,22 @@ def read_index(path: Path) -> dict[str, list[tuple[int, str]]]:
     return read_lines(path)[0]
 
 
+def checksums_in(path: Path) -> dict[str, str]:
+    """Return the last checksum that the index of a folder contains for each file."""
+    return {name: entries[-1][1] for name, entries in read_index(path).items()}
+
+
 def read_lines(path: Path) -> tuple[dict[str, list[tuple[int, str]]], int]:
     """Return the entries of the index, and the number of invalid lines among all lines except the last one."""
     if not is_present(path / INDEX):
         return {}, 0
     text = content_of(path / INDEX, most=MOST_INDEX).decode("ascii", "replace")
     lines = text.splitlines(keepends=True)[1:]
-    found = [LINE.fullmatch(line) for line in lines]
+    matches = [LINE.fullmatch(line) for line in lines]
     known = {}
-    for match in found:
-        if match:
-            known.setdefault(match[1], []).append((int(match[2]), match[3]))
-    return known, sum(match is None for match in found[:-1])
+    for match in filter(None, matches):
+        known.setdefault(match[1], []).append((int(match[2]), match[3]))
+    return known, sum(match is None for match in matches[:-1])
 
 
 def _line(name: str, entry: tuple[int, str]) -> str:
@@ -341,11 +340,10 @@ def warn_of_software(path: Path, before: object, now: object, parts: str) -> Non
     the word for the results in the warning, such as "tiles".
     """
     if before != now:
-        text = (
+        warn(
             f"{path} was begun with other versions of the software (rfpsurvey or the packages that it uses); its "
             f"{parts} may differ by rounding errors"
         )
-        warn(text)
 
 
 def _short(value: object) -> str:

@@ -23,12 +23,11 @@ from rfpsurvey.inputs._groups import (
     SurveyOptions,
     TableKeys,
     TableOutputKeys,
-    Text,
     TilesKeys,
     WorkerKeys,
     Workers,
 )
-from rfpsurvey.inputs._keys import Key, Located, Part, add, build, find, keys_of, time_text
+from rfpsurvey.inputs._keys import Key, Located, Part, add, build, keys_of, time_text
 from rfpsurvey.inputs._objects import (
     conditions_of,
     model_of,
@@ -39,7 +38,6 @@ from rfpsurvey.inputs._objects import (
     time_of_tiles,
     warn_without_catalog,
     with_columns_of_rules,
-    with_margins,
 )
 from rfpsurvey.inputs._plan_file import (
     INPUTS,
@@ -48,9 +46,7 @@ from rfpsurvey.inputs._plan_file import (
     Given,
     add_file,
     add_text,
-    complete,
     default_text,
     is_plan_file,
     survey_folder,
-    to_toml,
 )

@@ -195,8 +195,7 @@ def _check(key: Key, value: object, kinds: tuple) -> None:
     """Raise an error if the type of a value is not one of the given types."""
     types = tuple(one for kind in kinds for one in KINDS[kind][1])
     valid = bool in kinds if isinstance(value, bool) else isinstance(value, types)
-    if u.Quantity in kinds and isinstance(value, list | dict):
-        valid = True
+    valid |= u.Quantity in kinds and isinstance(value, list | dict)
     if not valid and object not in kinds:
         raise InputTypeError(f"{key.name} must be {key.words}, got {short(value)}")
 

@@ -45,8 +45,7 @@ def conditions_of(given: dict) -> ObservingConditions | None:
     given = dict(given)
     if isinstance(site := given.get("site"), list) or "," in str(site):
         given["site"] = location(site if isinstance(site, list) else site.split(","))
-    path = given.pop("path", None)
-    if path is not None:
+    if (path := given.pop("path", None)) is not None:
         return ObservingConditions.read(path, **given)
     if given and "site" not in given:
         raise InputError(

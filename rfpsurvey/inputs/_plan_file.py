@@ -44,17 +44,45 @@ class Given:
     values: dict
 
     def to_toml(self, folder: Path | None, *, documented: bool = False) -> str:
-        """Return the text of a plan file in a folder."""
-        title = f"Run this file with: rfpsurvey {self.command} FILE\n# {ABOUT_PATHS}"
-        return to_toml(self.keys, self.values, folder or Path(), title=title, documented=documented)
+        """Return the text of a plan file in a folder; if ``documented``, with the help of all keys."""
+        lines, table = [f"# Run this file with: rfpsurvey {self.command} FILE", f"# {ABOUT_PATHS}"], ""
+        known = [key for key in self.keys.values() if not isinstance(key, Part) and key.name not in OF_ONE_RUN]
+        tops = ["", *dict.fromkeys(key.name.partition(".")[0] for key in known)]
+
+        def place(key: Key) -> tuple[int, int]:  # keys without a table first; the tables inside a table after its keys
+            top, dot, rest = key.name.partition(".")
+            return (tops.index(top) if dot else 0), rest.count(".")
+
+        for key in sorted(known, key=place):
+            if key.name not in self.values and not documented:
+                continue
+            head, _, name = key.name.rpartition(".")
+            if head != table:
+                table = head
+                lines += ["", f"[{table}]"]
+            if documented:
+                lines += ["", *(f"# {line}" for line in wrap(_help(key), WIDTH - 2))]
+            if key.name in self.values:
+                lines.append(f"{name} = {_text(_moved(key, self.values[key.name], folder or Path()))}")
+            else:
+                lines.append(f"# {name} = {default_text(key)}")
+        return "\n".join(lines) + "\n"
 
     def record(self, folder: Path, tables: Collection[str] = ("options",), outputs: Collection[str] = ()) -> str:
-        """Return the text of a plan file with the values of all keys and the version (see `complete`)."""
-        values = complete(self.keys, self.values, tables, outputs)
+        """Return the text of a plan file with the version, and with the given and default values of keys.
+
+        Of outputs, only ``outputs`` are written. Of the tables whose keys are parameters of a class of the library,
+        only ``tables`` have default values. Without given values, other tables have no effect; their values could also
+        be those of a file or of the instrument.
+        """
+        parts = tuple(f"{name}." for name, key in self.keys.items() if isinstance(key, Part) and name not in tables)
+        plain = [key for key in self.keys.values() if isinstance(key, Key) and not key.name.startswith(parts)]
+        values = {key.name: value for key in plain if (value := _default(key)) is not None} | self.values
+        values = {name: value for name, value in values.items() if not name.startswith("output.") or name in outputs}
         text = Given(self.command, self.keys, values).to_toml(folder)
-        own = versions()["rfpsurvey"]
-        version = f"# rfpsurvey {own}; keys without a value have the default values of this version.\n"
-        return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{version}", 1)
+        version = versions()["rfpsurvey"]
+        about = f"# rfpsurvey {version}; keys without a value have the default values of this version.\n"
+        return text.replace(f"{ABOUT_PATHS}\n", f"{ABOUT_PATHS}\n{about}", 1)
 
 
 def is_plan_file(path: object) -> bool:
@@ -129,32 +157,6 @@ def _value(text: str) -> object:
     return found["value"] if len(found) == 1 and not other else text
 
 
-def to_toml(keys: dict, values: dict, folder: Path, *, title: str, documented: bool) -> str:
-    """Return the text of a plan file in a folder; if ``documented``, with the help of all keys."""
-    lines, table = [f"# {title}"], ""
-    known = [key for key in keys.values() if not isinstance(key, Part) and key.name not in OF_ONE_RUN]
-    tops = ["", *dict.fromkeys(key.name.partition(".")[0] for key in known)]
-
-    def place(key: Key) -> tuple[int, int]:  # keys without a table first; the tables inside a table after its keys
-        top, dot, rest = key.name.partition(".")
-        return (tops.index(top) if dot else 0), rest.count(".")
-
-    for key in sorted(known, key=place):
-        if key.name not in values and not documented:
-            continue
-        head, _, name = key.name.rpartition(".")
-        if head != table:
-            table = head
-            lines += ["", f"[{table}]"]
-        if documented:
-            lines += ["", *(f"# {line}" for line in wrap(_help(key), WIDTH - 2))]
-        if key.name in values:
-            lines.append(f"{name} = {_text(_moved(key, values[key.name], folder))}")
-        else:
-            lines.append(f"# {name} = {default_text(key)}")
-    return "\n".join(lines) + "\n"
-
-
 def _help(key: Key) -> str:
     """Return the help of a key, with the type and the limits of its values."""
     limits = key.field.option.limits()
@@ -172,18 +174,6 @@ def _moved(key: Key, value: object, folder: Path) -> object:
     if value.startswith("example:") or (key.is_located and is_name):
         return value
     return Path(os.path.relpath(value, folder)).as_posix()
-
-
-def complete(keys: dict, values: dict, tables: Collection[str], outputs: Collection[str]) -> dict:
-    """Return the given values and the default values of all other keys, without outputs other than ``outputs``.
-
-    Of the tables whose keys are parameters of a class of the library, only ``tables`` have default values. Without
-    given values, other tables have no effect; their values could also be those of a file or of the instrument.
-    """
-    parts = [f"{name}." for name, key in keys.items() if isinstance(key, Part) and name not in tables]
-    plain = [key for key in keys.values() if isinstance(key, Key) and not key.name.startswith(tuple(parts))]
-    found = {key.name: value for key in plain if (value := _default(key)) is not None} | values
-    return {name: one for name, one in found.items() if not name.startswith("output.") or name in outputs}
 
 
 def default_text(key: Key) -> str:

@@ -15,11 +15,7 @@ from rfpsurvey.survey._survey import Survey
 
 
 def continue_survey(
-    folder: str | os.PathLike,
-    *,
-    executor: Executor | None = None,
-    progress: bool | Callable = False,
-    **changes: object,
+    folder: str | os.PathLike, *, executor: Executor | None = None, progress: bool | Callable = False, **changes: object
 ) -> Survey:
     """Plan the rest of the survey in a folder, which was interrupted, or whose observations were recorded.
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._folder import LOCK, WAIT, RequestFolder, check_file, load_request, locked, read_index, read_verified
+from rfpsurvey._folder import LOCK, WAIT, RequestFolder, check_file, checksums_in, load_request, locked, read_verified
 from rfpsurvey._io import write_table, written
 from rfpsurvey._readers import content_of, is_present, read_fits_bytes, read_table
 from rfpsurvey._temporary import remove
@@ -83,8 +83,7 @@ class Folder(RequestFolder):
                 self._compare(load_request(self.home / self.request_name), dict(self._request))
             if self._is_new_state:  # the present plan remains until the new plan is complete
                 self.path, plans = self.home / NEXT, read_plans(self.home)
-                for name, entries in read_index(self.home).items():
-                    checksum = entries[-1][1]
+                for name, checksum in checksums_in(self.home).items():
                     number = dict(plans.get(name, ())).get(checksum, self._request["generation"] - 1)
                     self._former[name] = number, checksum
         return super().__enter__()
@@ -156,10 +155,9 @@ class Folder(RequestFolder):
         if self._is_new_state:
             self._request["generation"] = number + 1
         changed = ("catalog", "passes", "tiles", "visits", "events", "first")
-        earlier, same = (
-            {name: value for name, value in one.items() if name not in changed} | {"instrument": _instrument_of(one)}
-            for one in (before, now)
-        )
+        earlier, same = ({k: v for k, v in request.items() if k not in changed} for request in (before, now))
+        for request in (earlier, same):  # the digest changes if positioners break between two nights
+            request["instrument"] = str(request.get("instrument")).partition(", digest")[0]
         try:
             super()._compare({**earlier, **first}, {**same, **now_first})
         except InputError as error:
@@ -328,11 +326,6 @@ def clock() -> datetime:
 def part_name(tile: int) -> str:
     """Return the name of the file for the tile in row ``tile`` of the tiling."""
     return f"tiles/{tile // 1000:03d}/{tile:06d}.fits"
-
-
-def _instrument_of(request: dict) -> str:
-    """Return the name of the instrument of a request; its digest changes if positioners break between two nights."""
-    return str(request.get("instrument")).partition(", digest")[0]
 
 
 def kept_name(digest: str) -> str:

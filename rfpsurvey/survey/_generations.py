@@ -14,7 +14,7 @@ from io import StringIO
 from pathlib import Path
 from typing import NamedTuple
 
-from rfpsurvey._folder import INDEX, LOCK, WAIT, locked, read_index
+from rfpsurvey._folder import INDEX, LOCK, WAIT, checksums_in, locked
 from rfpsurvey._io import write_bytes
 from rfpsurvey._readers import content_of, is_present
 from rfpsurvey._temporary import remove
@@ -51,26 +51,25 @@ def read_generations(folder: Path) -> list[Generation]:
     try:
         text = content_of(folder / GENERATIONS, most=MOST_FILE).decode("utf-8", "replace")
         rows = [*csv.reader(StringIO(text))]
-        found = [Generation(int(row[0]), row[1], int(row[2]), row[3]) for row in rows]
-        numbers = [generation.number for generation in found]
-        if not text.endswith("\n") or numbers != sorted({*numbers}) or not numbers:
-            raise ValueError
-        if not all(DATE.fullmatch(generation.date) for generation in found):
+        generations = [Generation(int(row[0]), row[1], int(row[2]), row[3]) for row in rows]
+        numbers = [generation.number for generation in generations]
+        is_whole = text.endswith("\n") and bool(numbers) and numbers == sorted({*numbers})
+        if not (is_whole and all(DATE.fullmatch(generation.date) for generation in generations)):
             raise ValueError
     except (IndexError, ValueError, csv.Error):
         raise InputError(
             f"{folder / GENERATIONS} is damaged (it must have a line for each generation); restore it, or remove it"
         ) from None
-    return found
+    return generations
 
 
 def generations_of(folder: Path, request: dict) -> list[Generation]:
     """Return all generations of the plan of a survey with a given request; the last one is that of the present plan."""
-    found, number = read_generations(folder), request.get("generation", 1)
-    if not found or found[-1].number != number:  # the survey was planned once, or by an earlier version
+    generations, number = read_generations(folder), request.get("generation", 1)
+    if not generations or generations[-1].number != number:  # planned once, or by an earlier version
         n_files = request.get("events", {}).get("n_files", 0)
-        found.append(Generation(number, request.get("planned", ""), n_files))
-    return found
+        generations.append(Generation(number, request.get("planned", ""), n_files))
+    return generations
 
 
 def read_plans(folder: Path) -> dict[str, list[tuple[str, int]]]:
@@ -98,18 +97,15 @@ def add_generation(
     Plans of the present generation that the new plan replaces are kept if ``is_observed`` is true, or if the names of
     their files and their checksums are in ``used``.
     """
-    plans, former, new = read_plans(home), read_index(home), read_index(ready)
-    for name in (name for name in former if name.startswith("tiles/")):
-        own, checksum = plans.setdefault(name, []), former[name][-1][1]
-        if not own or own[-1][0] != checksum:
-            own.append((checksum, before[-1].number))
-        is_replaced = name not in new or new[name][-1][1] != checksum
-        if is_replaced and own[-1][1] == before[-1].number and not (is_observed or (name, checksum) in used):
-            own.pop()
-    for name in (name for name in new if name.startswith("tiles/")):
-        own, checksum = plans.setdefault(name, []), new[name][-1][1]
-        if not own or own[-1][0] != checksum:
-            own.append((checksum, now.number))
+    plans, former, new = read_plans(home), checksums_in(home), checksums_in(ready)
+    for checksums, generation in ((former, before[-1]), (new, now)):
+        for name in (name for name in checksums if name.startswith("tiles/")):
+            of_tile, checksum = plans.setdefault(name, []), checksums[name]
+            if not of_tile or of_tile[-1][0] != checksum:
+                of_tile.append((checksum, generation.number))
+            is_kept = new.get(name) == checksum or is_observed or (name, checksum) in used
+            if of_tile[-1][1] == before[-1].number and not is_kept:
+                of_tile.pop()
     for name, checksum in sorted(used):  # the index, which can be damaged, does not determine which plans are kept
         if checksum not in dict(plans.setdefault(name, [])):
             plans[name].insert(0, (checksum, 0))
@@ -123,15 +119,12 @@ def add_generation(
 
 def changed_keys(before: Path, after: Path) -> str:
     """Return the keys of two plan files that have other values, with both values."""
-    values = []
-    for path in (before, after):
-        try:
-            values.append(dict(_flat(tomllib.loads(path.read_text()))))
-        except (OSError, ValueError):  # there was no plan file
-            return ""
-    one, other = values
-    names = [name for name in sorted({*one, *other}) if one.get(name) != other.get(name)]
-    return "; ".join(f"{name}: {one.get(name, 'not given')} -> {other.get(name, 'not given')}" for name in names)
+    try:
+        earlier, later = (dict(_flat(tomllib.loads(path.read_text()))) for path in (before, after))
+    except (OSError, ValueError):  # there was no plan file
+        return ""
+    names = [name for name in sorted({*earlier, *later}) if earlier.get(name) != later.get(name)]
+    return "; ".join(f"{name}: {earlier.get(name, 'not given')} -> {later.get(name, 'not given')}" for name in names)
 
 
 def _flat(table: dict, prefix: str = ""):
@@ -158,27 +151,24 @@ def replace_plan(folder: Path) -> None:
     ready = folder / READY
     if is_present(ready / "survey.json"):
         plans = read_plans(ready) or read_plans(folder)
-        kept = {checksum for own in plans.values() for checksum, _ in own}
-        new = read_index(ready) or read_index(folder)
-        for name in {*read_index(folder), *plans}:
+        kept = {checksum for of_tile in plans.values() for checksum, _ in of_tile}
+        present = checksums_in(folder)
+        new = checksums_in(ready) or present
+        for name in {*present, *plans}:
             if (name in new and not is_present(ready / name)) or not is_present(folder / name):
                 continue  # the plan does not change, or was replaced before the interruption
             checksum = hashlib.sha256((folder / name).read_bytes()).hexdigest()
-            if name in new and new[name][-1][1] == checksum:
-                continue
-            if checksum in kept:
+            if checksum in kept and checksum != new.get(name):
                 (folder / KEPT).mkdir(parents=True, exist_ok=True)
                 os.replace(folder / name, folder / KEPT / f"{checksum}.fits")
             elif name not in new:
                 (folder / name).unlink()
-        for path in sorted(path for path in ready.rglob("*") if path.is_file() and path.name != LOCK):
-            name = path.relative_to(ready)
-            if str(name) not in (INDEX, "survey.json"):
-                (folder / name).parent.mkdir(parents=True, exist_ok=True)
-                os.replace(path, folder / name)
-        for name in (INDEX, "survey.json"):
-            if is_present(ready / name):
-                os.replace(ready / name, folder / name)
+        paths = [
+            path for path in ready.rglob("*") if path.is_file() and path.name != LOCK
+        ]  # the request is replaced last
+        for path in sorted(paths, key=lambda path: (path.name == "survey.json", path.name == INDEX, path)):
+            (folder / path.relative_to(ready)).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(path, folder / path.relative_to(ready))
     if is_present(folder / "plan.toml") and is_present(folder / "inputs"):
         text = (folder / "plan.toml").read_text()
         for path in (folder / "inputs").iterdir():

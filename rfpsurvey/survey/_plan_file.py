@@ -345,19 +345,16 @@ def _rule_values(rule: VisitRule | None, place: Path) -> dict | None:
 def _allocator_values(given: object) -> dict | None:
     """Return the values of the keys of an allocator; None if they do not determine it."""
     options, joint = as_joint(given, "color")
-    values = {name: _text_of(getattr(options, name)) for name in _named(options)}
-    more = {} if joint is None else {name: _text_of(getattr(joint, name)) for name in _named(joint)}
-    for name in ("allocator", "inform"):
-        more.pop(name, None)
+    values = {f"options.{name}": _text_of(getattr(options, name)) for name in _named(options)}
     if joint is not None:
-        values["allocator"] = JOINT
-    found = {f"options.{name}": one for name, one in values.items()} | {f"joint.{k}": v for k, v in more.items()}
+        names = [name for name in _named(joint) if name not in ("allocator", "inform")]
+        values |= {"options.allocator": JOINT, **{f"joint.{name}": _text_of(getattr(joint, name)) for name in names}}
     try:
-        keys = build(SurveyKeys, found)
+        keys = build(SurveyKeys, values)
         again = as_joint(allocator_of(keys.options, keys.joint), "color")
     except InputError:
         return None
-    return found if again == (options, None if joint is None else replace(joint, inform=None)) else None
+    return values if again == (options, None if joint is None else replace(joint, inform=None)) else None
 
 
 def _named(settings: Settings) -> list[str]:

@@ -62,13 +62,11 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
 
     The file of a tile that keeps its plan can lack the numbers of constraints, which are then not checkable.
     """
-    counted = every = cards_of(job.model.options)
-    if is_kept:
-        counted = {card: one for card, one in counted.items() if card in cards or not isinstance(one[0], CountOfRule)}
+    every = cards_of(job.model.options)
     # files of earlier versions do not state whether constraints are checkable, and the numbers of lost targets
     optional = {N_LOST, LOST_TO_RULES.card, ALSO_SCIENCE.card}
-    optional |= {card for card, one in counted.items() if is_unknown(one[0])}
-    counted = {card: one for card, one in counted.items() if card in cards or card not in optional}
+    optional |= {k for k, (count, *_) in every.items() if is_unknown(count) or is_kept * isinstance(count, CountOfRule)}
+    counted = [card for card in every if card in cards or card not in optional]
     lacking = [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
         raise InputError(f"its file lacks {', '.join(lacking)}")

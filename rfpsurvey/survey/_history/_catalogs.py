@@ -28,9 +28,9 @@ def first_visits(
 
 def columns_of(catalog, visits: object) -> dict:
     """Return the columns of a catalog that rules use."""
-    own, n = {name: column_of(catalog, name) for name in ("id", "priority", "category", "kind", "visits")}, len(catalog)
-    requested = own.pop("visits") if visits is None else to_visits(visits, n)
-    return {**own, "requested": np.ones(n, dtype=np.uint8) if requested is None else requested}
+    columns = {name: column_of(catalog, name) for name in ("id", "priority", "category", "kind", "visits")}
+    requested = columns.pop("visits") if visits is None else to_visits(visits, len(catalog))
+    return {**columns, "requested": np.ones(len(catalog), dtype=np.uint8) if requested is None else requested}
 
 
 def visits_without_rule(state) -> np.ndarray:
@@ -50,15 +50,15 @@ def column_of(catalog: Catalog | PartitionedCatalog, name: str) -> np.ndarray | 
     return getattr(catalog, name) if isinstance(catalog, Catalog) else catalog.parts.column(name)
 
 
-def is_same(one: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
+def is_same(catalog: Catalog | PartitionedCatalog, other: Catalog | PartitionedCatalog) -> bool:
     """Return whether two catalogs are equal in all columns that a plan uses."""
-    if one is other:
+    if catalog is other:
         return True
-    if isinstance(one, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
-        return type(one) is type(other) and one.parts.digest() == other.parts.digest()
-    places = [np.column_stack([sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg]) for sky in (one, other)]
-    columns = [[sky.id, sky.visits, *(getattr(sky, name) for name in PLANNED_COLUMNS)] for sky in (one, other)]
-    return all(np.array_equal(a, b) for a, b in zip([places[0], *columns[0]], [places[1], *columns[1]], strict=True))
+    if isinstance(catalog, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
+        return type(catalog) is type(other) and catalog.parts.digest() == other.parts.digest()
+    places = [(sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg) for sky in (catalog, other)]
+    columns = [(getattr(sky, name) for name in ("id", "visits", *PLANNED_COLUMNS)) for sky in (catalog, other)]
+    return all(map(np.array_equal, *places)) and all(map(np.array_equal, *columns))
 
 
 def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:
@@ -74,16 +74,17 @@ def check_first_catalog(request: dict, catalog: Catalog | PartitionedCatalog, vi
     All functions that attribute visits to targets depend on this check, because visits refer to the rows of the
     catalog.
     """
-    recorded, found = request.get("given", request.get("first", {}).get("catalog")), digest_of(catalog)
+    recorded, present = request.get("given", request.get("first", {}).get("catalog")), digest_of(catalog)
     if recorded is None and not request.get("epoch"):  # an earlier version planned the survey, and did not move targets
         recorded = request.get("catalog")
-        for one in (catalog, first_visits(catalog, rule, visits)[0]) if recorded is not None else ():
-            own = one.parts.digest() if isinstance(one, PartitionedCatalog) else InMemory(one).digest()
-            found = recorded if recorded == f"{number_of(len(one), 'target')}, digest {own}" else found
-    if recorded is not None and found != recorded:
+        for possible in (catalog, first_visits(catalog, rule, visits)[0]) if recorded is not None else ():
+            source = possible.parts if isinstance(possible, PartitionedCatalog) else InMemory(possible)
+            if recorded == f"{number_of(len(possible), 'target')}, digest {source.digest()}":
+                present = recorded
+    if recorded is not None and present != recorded:
         raise InputError(
-            f"the catalog must be that of the first plan, with {recorded}, got another catalog with {found}; to add or "
-            "change targets, record a table of targets"
+            f"the catalog must be that of the first plan, with {recorded}, got another catalog with {present}; to add "
+            "or change targets, record a table of targets"
         )
     columns = request.get("columns", {})
     now = column_digests(catalog, columns)
@@ -101,11 +102,11 @@ def digest_of(catalog: Catalog | PartitionedCatalog) -> str:
     Further columns (``extra``) do not determine which target is in a row; `extra_digest` identifies them.
     """
     if isinstance(catalog, PartitionedCatalog):
-        own = catalog.parts.digest()
+        content = catalog.parts.digest()
     else:
         icrs, columns = catalog.coord.icrs, (getattr(catalog, name) for name in ("id", *PLANNED_COLUMNS))
-        own = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns))
-    return f"{number_of(len(catalog), 'target')}, digest {own}"
+        content = digest(icrs.ra.deg, icrs.dec.deg, *map(_widest, columns))
+    return f"{number_of(len(catalog), 'target')}, digest {content}"
 
 
 def column_digests(catalog: Catalog | PartitionedCatalog, names: Iterable[str]) -> dict[str, str]:

@@ -72,19 +72,19 @@ def columns_of_catalog(table: Table, record: str) -> dict[str, str]:
     ``record`` is the entry ``columns`` of the provenance of the catalog. Positions, which can have other units, and
     roles whose own names the table has are omitted.
     """
-    lower, found = {name.lower() for name in table.colnames}, {}
+    lower, columns = {name.lower() for name in table.colnames}, {}
     for role, name, sign in re.findall(r"(\w+): (.+?)( \(reversed sign\))?(?:, |$)", record):
-        own = IDS if role == "id" else (role,)
+        names = IDS if role == "id" else (role,)
         is_used = role in ("id", "priority", "subpriority", "visits", *TEXTS) and name in table.colnames
-        if is_used and not {*own} & lower:
-            found[own[0]] = f"-{name}" if sign else name
-    return found
+        if is_used and not {*names} & lower:
+            columns[names[0]] = f"-{name}" if sign else name
+    return columns
 
 
 def roles_of(table: Table) -> dict[str, str]:
     """Return a dict from the roles of the columns of a table to their names."""
     lower = {name.lower(): name for name in reversed(table.colnames)}
-    return {role: lower[one] for role, names in ROLES.items() for one in reversed(names) if one in lower}
+    return {role: lower[name] for role, names in ROLES.items() for name in reversed(names) if name in lower}
 
 
 def check_others(table: Table, roles: dict[str, str], id_name: str | None) -> None:
@@ -106,12 +106,12 @@ def check_others(table: Table, roles: dict[str, str], id_name: str | None) -> No
 
 def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
     """Return the values of the columns of observations by role; None for columns that the table lacks."""
-    n = len(table)
+    n, words = len(table), _texts(table, roles.get("state"))
     return {
-        "state": _states(table, roles),
+        "state": words and [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words],
         "good": _flags(table, roles, "good"),
         "replaces": _flags(table, roles, "replaces"),
-        "date": [to_date(one) for one in table[roles["date"]]] if "date" in roles else [""] * n,
+        "date": [*map(to_date, table[roles["date"]])] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": _texts(table, roles.get("reason")) or [""] * n,
         **{role: _texts(table, roles.get(role)) for role in (*VISITS, "plan", "generation")},
@@ -132,13 +132,6 @@ def groups_of(names: list[str], dates: list[str]) -> dict[tuple[str, str], list[
     return groups
 
 
-def _states(table: Table, roles: dict) -> list[str] | None:
-    words = _texts(table, roles.get("state"))
-    if words is None:
-        return None
-    return [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words]
-
-
 def _flags(table: Table, roles: dict, role: str) -> list[bool | None] | None:
     """Return the values of a column of truth values, such as good; None for missing values."""
     if role not in roles:
@@ -155,4 +148,4 @@ def _texts(table: Table, name: str | None) -> list[str] | None:
     missing = np.isnan(values) if values.dtype.kind == "f" else np.zeros(len(values), dtype=bool)
     if values.dtype.kind == "f" and (values[~missing] == np.floor(values[~missing])).all():
         values = np.where(missing, 0, values).astype(np.int64)  # integers with missing values
-    return ["" if gone else str(one).strip() for one, gone in zip(values.tolist(), missing.tolist(), strict=True)]
+    return ["" if gone else str(value).strip() for value, gone in zip(values.tolist(), missing.tolist(), strict=True)]

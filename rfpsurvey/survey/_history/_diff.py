@@ -77,34 +77,32 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
     >>> len(rs.survey.diff_surveys(survey, survey))
     0
     """
-    one, two = _Side(first, "first"), _Side(second, "second")
-    names = list(dict.fromkeys([*one.row_of, *two.row_of]))
-    changes, compared = [], []
-    for name in names:
-        if not (name in one.row_of and name in two.row_of):
-            changes.append(_changes(name, ["added" if name in two.row_of else "removed"]))
+    earlier, later = _Side(first, "first"), _Side(second, "second")
+    changes, compared = {name: [] for name in (*earlier.row_of, *later.row_of)}, []
+    for name, parts in changes.items():
+        if not (name in earlier.row_of and name in later.row_of):
+            parts.append(_changes(name, ["added" if name in later.row_of else "removed"]))
             continue
-        rows = one.row_of[name], two.row_of[name]
-        states = one.survey._states[rows[0]], two.survey._states[rows[1]]
+        rows = earlier.row_of[name], later.row_of[name]
+        states = earlier.survey._states[rows[0]], later.survey._states[rows[1]]
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
-        reasons += [] if one.places[rows[0]] == two.places[rows[1]] else ["moved"]
-        changes.append(_changes(name, reasons))
+        reasons += [] if earlier.places[rows[0]] == later.places[rows[1]] else ["moved"]
+        parts.append(_changes(name, reasons))
         if TileState.DROPPED in states:
             continue
-        digests = one.digest(rows[0]), two.digest(rows[1])
+        digests = earlier.digest(rows[0]), later.digest(rows[1])
         if digests[0] is None or digests[0] != digests[1]:
             compared.append((name, rows))
     for _, rows in compared:  # the priorities in all plans that differ are known before fibers are compared
-        one.see(rows[0]), two.see(rows[1])
-    changes += [_fibers(name, one, rows[0], two, rows[1]) for name, rows in compared]
-    order = {name: k for k, name in enumerate(names)}
-    columns = [np.concatenate([part[k] for part in changes]) for k in range(len(DIFF))]
-    table = QTable(dict(zip(DIFF, columns, strict=True)))
-    table = table[np.argsort([order[name] for name in table["tile"].tolist()], kind="stable")]
+        earlier.see(rows[0]), later.see(rows[1])
+    for name, rows in compared:
+        changes[name].append(_fibers(name, earlier, rows[0], later, rows[1]))
+    columns = zip(*(part for parts in changes.values() for part in parts), strict=True)
+    table = QTable(dict(zip(DIFF, map(np.concatenate, columns), strict=True)))
     table.meta = {
         "made_by": "diff_surveys",
-        "n_tiles": [len(one.row_of), len(two.row_of)],
-        "n_later_files": [one.n_later_files, two.n_later_files],
+        "n_tiles": [len(earlier.row_of), len(later.row_of)],
+        "n_later_files": [earlier.n_later_files, later.n_later_files],
     }
     return describe(table, DIFF)
 
@@ -118,15 +116,12 @@ class _Side:
         if not isinstance(survey, Survey):
             raise refusal(f"the {name} survey must be a Survey or the folder of a survey", survey)
         self.survey, tiles = survey, survey.tiles
-        events = applied = Events(Path())
-        if survey.folder is not None:
-            events = read_events(survey.folder)
-            applied = events.of_plan(survey.provenance)
-        self.events = applied
+        events = Events(Path()) if survey.folder is None else read_events(survey.folder)
+        self.events = events.of_plan(survey.provenance)
         """The events with which the survey was planned; none if it is not in a folder."""
-        self.n_later_files = len(events.files) - len(applied.files)
+        self.n_later_files = len(events.files) - len(self.events.files)
         """Number of files of events after the plan, which are not compared."""
-        self.row_of = {str(one): row for row, one in enumerate(np.asarray(tiles["tile"]).tolist())}
+        self.row_of = {str(tile): row for row, tile in enumerate(np.asarray(tiles["tile"]).tolist())}
         self.ids, self.requested = np.asarray(survey.outcomes["target_id"]), np.asarray(survey.outcomes["requested"])
         self.priority = np.full(len(self.ids), np.nan)
         self.places = places_of(tiles).tolist()
@@ -166,9 +161,9 @@ def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
     return [np.full(n, name), *(np.full(n, "") for _ in range(3)), np.array(reasons, dtype=str)]
 
 
-def _fibers(name: str, one: _Side, row: int, two: _Side, other: int) -> list[np.ndarray]:
+def _fibers(name: str, earlier: _Side, row: int, later: _Side, other: int) -> list[np.ndarray]:
     """Return the columns of rows on the fibers of a tile that have another target."""
-    visits = one.survey._visits(row), two.survey._visits(other)
+    visits = earlier.survey._visits(row), later.survey._visits(other)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
         raise InputError("the surveys must have the same instrument, got other identifiers of positioners")
@@ -181,15 +176,14 @@ def _fibers(name: str, one: _Side, row: int, two: _Side, other: int) -> list[np.
         ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
     changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
     before, after = (target[changed] for target in targets)
-    reasons = _reasons(one, two, before, after)
+    reasons = _reasons(earlier, later, before, after)
     return [np.full(len(before), name), both[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
 
 
-def _reasons(one: _Side, two: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:
+def _reasons(earlier: _Side, later: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:
     """Return the reason why each fiber has another target."""
-    n = min(len(one.ids), len(two.ids))
-    is_same = one.ids.dtype.kind == two.ids.dtype.kind and np.array_equal(one.ids[:n], two.ids[:n])
-    if not is_same:
+    n = min(len(earlier.ids), len(later.ids))
+    if earlier.ids.dtype.kind != later.ids.dtype.kind or not np.array_equal(earlier.ids[:n], later.ids[:n]):
         return np.full(len(before), REASONS[0])
 
     def of(target: np.ndarray, values: np.ndarray) -> np.ndarray:
@@ -199,16 +193,15 @@ def _reasons(one: _Side, two: _Side, before: np.ndarray, after: np.ndarray) -> n
     def any_of(values: np.ndarray) -> np.ndarray:
         return of(before, values).astype(bool) | of(after, values).astype(bool)
 
-    made, again = one.replayed, two.replayed
-    complete = (again.made[:n] >= two.requested[:n]) & (again.made[:n] > made.made[:n])
-    both_known = np.isfinite(one.priority[:n]) & np.isfinite(two.priority[:n])
+    made, again = earlier.replayed, later.replayed
+    complete = (again.made[:n] >= later.requested[:n]) & (again.made[:n] > made.made[:n])
+    both_known = np.isfinite(earlier.priority[:n]) & np.isfinite(later.priority[:n])
     conditions = [
-        np.zeros(len(before), dtype=bool),
-        of(before, two.dropped[:n] & ~one.dropped[:n]).astype(bool),
+        of(before, later.dropped[:n] & ~earlier.dropped[:n]).astype(bool),
         of(before, complete).astype(bool),
         after >= n,
         of(after, again.failed[:n] > made.failed[:n]).astype(bool),
-        any_of(both_known & (one.priority[:n] != two.priority[:n])),
-        any_of(one.requested[:n] != two.requested[:n]),
+        any_of(both_known & (earlier.priority[:n] != later.priority[:n])),
+        any_of(earlier.requested[:n] != later.requested[:n]),
     ]
-    return np.select(conditions, REASONS, OTHER)
+    return np.select(conditions, REASONS[1:], OTHER)

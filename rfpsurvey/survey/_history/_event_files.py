@@ -16,44 +16,49 @@ from rfpsurvey._readers import content_of, is_present, sentence
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.survey._folder import read_request
 from rfpsurvey.survey._generations import EVENTS, MOST_FILE
-from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState
+from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, grouped
 
 VERSION = 2
 FRAME = '{{"digest": "{}", "events":\n{}\n}}\n'
 """Text of a file of events with its digest and its content, which are JSON in all."""
-KINDS = ("targets", "rows")
-"""Kinds of tables that belong to a file of events."""
 COPY = f"{EVENTS}/records.txt"
 """File with the contents of all files of events."""
 FRAMED = re.compile(r'\{"digest": "([0-9a-f]{64})", "events":\n(.*)\n\}\n', re.DOTALL)
 
 
 def append_events(
-    events: Events,
-    tiles: list[TileEvent],
-    targets: QTable | None,
-    rows: Table | None,
-    undoes: int | None = None,
-    **about: object,
+    history, tiles: list[TileEvent], targets: QTable | None, rows: Table | None, told: dict, undoes: int | None = None
 ) -> None:
-    """Write a file with events after other events; ``about`` are the numbers in `EventFile`, and ``told``."""
-    number, names, folder = len(events.files) + 1, {}, events.folder
+    """Write a file with events after those of a `History`; see `EventFile`."""
+    events, content, tables = history.events, None, {"targets": None, "rows": None}
+    number, folder = len(events.files) + 1, events.folder
     with _io.written(folder / EVENTS):
         (folder / EVENTS).mkdir(exist_ok=True)
-    contents = {}
     if targets is not None:
         columns, fixed = targets.as_array(), tuple(_io.table_cards("TARGETS", targets.colnames, {}).items())
-        contents["targets"] = "fits", _io.fits_bytes({k: columns[k] for k in targets.colnames}, {}, fixed)
+        kind, ending = "targets", "fits"
+        content = _io.fits_bytes({k: columns[k] for k in targets.colnames}, {}, fixed)
     elif rows is not None:
         lines = StringIO()
         csv.writer(lines, lineterminator="\n").writerows([rows.colnames, *rows.iterrows()])
-        contents["rows"] = "csv", lines.getvalue().encode()
-    for kind, (ending, content) in contents.items():
-        names[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
-        _io.write_bytes(folder / EVENTS / names[kind], content, sync=True)
-    stated = [event._asdict() | {"failed": _by_reason(event.failed)} for event in tiles]
-    about |= {"version": VERSION, "previous": events.digest, "undoes": undoes, "tiles": stated}
-    body = json.dumps(about | {kind: names.get(kind) for kind in KINDS}, separators=(",", ":"), sort_keys=True)
+        kind, ending, content = "rows", "csv", lines.getvalue().encode()
+    if content is not None:
+        tables[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
+        _io.write_bytes(folder / EVENTS / tables[kind], content, sync=True)
+    about = {
+        "version": VERSION,
+        "previous": events.digest,
+        "n_targets": history.n_targets,
+        "n_tiles": history.n_tiles_before,
+        "n_applied": history.n_applied,
+        "told": told,
+        "undoes": undoes,
+        "tiles": [
+            event._asdict() | {"failed": grouped((reason, name) for name, reason in event.failed.items())}
+            for event in tiles
+        ],
+    }
+    body = json.dumps(about | tables, separators=(",", ":"), sort_keys=True)
     _io.write_bytes(folder / _name(number), FRAME.format(_digest(body), body).encode(), sync=True)
     write_copy(folder, [*(file.body for file in events.files), body])
 
@@ -118,10 +123,9 @@ def _read(folder: Path, number: int, parsed: dict[str, EventFile], body: str | N
         about = json.loads(body)
         if about["version"] not in (1, VERSION):
             raise InputError(f"version {about['version']} of the format is not supported")
-        events = [
-            event | {"place": tuple(event["place"]), "failed": _by_name(_stated(event))} for event in about["tiles"]
-        ]
-        tiles = tuple(TileEvent(**event) for event in events)
+        tiles = tuple(
+            TileEvent(**event | {"place": tuple(event["place"]), "failed": _failed(event)}) for event in about["tiles"]
+        )
         if not all(map(_is_valid, tiles)):
             raise InputError("its events have other types")
         numbers = (about[name] for name in ("n_targets", "n_tiles", "n_applied"))
@@ -137,10 +141,11 @@ def _read(folder: Path, number: int, parsed: dict[str, EventFile], body: str | N
     return file
 
 
-def _stated(event: dict) -> dict[str, list[str]]:
-    """Return the failed positioners that a table stated; files of version 1 also contain those of earlier records."""
-    stated = event.pop("stated", None)
-    return event["failed"] if stated is None else stated
+def _failed(event: dict) -> dict[str, str]:
+    """Return the failed positioners that a table stated, with the reasons; remove the entry ``stated``."""
+    stated = event.pop("stated", None)  # in files of version 1, the entry failed also contains earlier records
+    by_reason = event["failed"] if stated is None else stated
+    return dict(sorted((name, reason) for reason, names in by_reason.items() for name in names))
 
 
 def _is_valid(event: TileEvent) -> bool:
@@ -148,19 +153,6 @@ def _is_valid(event: TileEvent) -> bool:
     kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool, int)
     is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
     return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
-
-
-def _by_reason(failed: dict[str, str]) -> dict[str, list[str]]:
-    """Return the positioners that failed for each reason."""
-    found: dict[str, list[str]] = {}
-    for name, reason in failed.items():
-        found.setdefault(reason, []).append(name)
-    return found
-
-
-def _by_name(failed: dict[str, list[str]]) -> dict[str, str]:
-    """Return the reason for each positioner that failed."""
-    return dict(sorted((name, reason) for reason, names in failed.items() for name in names))
 
 
 def _name(number: int) -> str:

@@ -145,22 +145,22 @@ class Events:
                 undone.setdefault(self.files[number - 1].undoes, number)
         return undone
 
-    def of_file(self, number: int) -> Iterable[TileEvent]:
-        """Yield the events of tiles in a file; if the file was undone, the tiles that it added are dropped."""
-        file = self.files[number - 1]
-        if number not in self.undone:
-            yield from file.tiles
-            return
-        for event in file.tiles:
-            if event.place and event.row >= file.n_tiles:  # later tiles keep their rows
-                yield from (event, TileEvent(event.row, event.tile, TileState.DROPPED, "", 0.0))
+    def numbered(self) -> Iterable[tuple[int, TileEvent]]:
+        """Yield the number of the file and the event for all events of tiles, except those that were undone.
+
+        Tiles that a file added which was undone are dropped, so that later tiles keep their rows.
+        """
+        for number, file in enumerate(self.files, 1):
+            for event in file.tiles:
+                if number not in self.undone:
+                    yield number, event
+                elif event.place and event.row >= file.n_tiles:
+                    yield number, event
+                    yield number, TileEvent(event.row, event.tile, TileState.DROPPED, "", 0.0)
 
     def of_tiles(self, until: str | None = None) -> Iterable[TileEvent]:
-        """Yield the events of tiles up to a date, without those that were undone."""
-        for number in range(1, len(self.files) + 1):
-            for event in self.of_file(number):
-                if until is None or event.date <= until:
-                    yield event
+        """Return the events of tiles up to a date, without those that were undone."""
+        return (event for _, event in self.numbered() if until is None or event.date <= until)
 
     @property
     def plans(self) -> dict[tuple[int, str], None]:
@@ -182,9 +182,9 @@ class Events:
         Of a table that was undone, only the added targets remain, and are dropped, so that later ones keep their rows.
         """
         tables = []
-        for number, file in ((number, file) for number, file in enumerate(self.files, 1) if file.targets):
-            table = self.read_targets(file.targets)
-            if number in self.undone:
+        for number, file in enumerate(self.files, 1):
+            table = self.read_targets(file.targets) if file.targets else ()
+            if number in self.undone and file.targets:
                 table = table[table["target_row"] >= file.n_targets]
                 table["dropped"] = np.ones(len(table), dtype=np.int16)
             if len(table):
@@ -201,19 +201,26 @@ class Events:
 
     def plan(self, row: int, digest: str) -> bytes:
         """Return the plan with which a tile was observed: the content of the file of the tile at that time."""
-        content = verified(self.folder / part_name(row), digest)
-        content = verified(self.folder / kept_name(digest), digest) if content is None else content
-        if content is None:
-            raise InputError(
-                f"{self.folder / part_name(row)} must be the plan with which the tile in row {row} was observed, got "
-                "another or a damaged file, and there is no copy of the plan; restore the file, or record the state "
-                "planned for this tile, which cancels its observations"
-            )
-        return content
+        for name in (part_name(row), kept_name(digest)):
+            if (content := verified(self.folder / name, digest)) is not None:
+                return content
+        raise InputError(
+            f"{self.folder / part_name(row)} must be the plan with which the tile in row {row} was observed, got "
+            "another or a damaged file, and there is no copy of the plan; restore the file, or record the state "
+            "planned for this tile, which cancels its observations"
+        )
 
     def visits(self, event: TileEvent) -> tuple[np.ndarray, dict]:
         """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
         return parse_visits(self.plan(event.row, event.plan), f"the plan of tile {event.tile}", event.tile)
+
+
+def grouped(pairs: Iterable[tuple]) -> dict:
+    """Return a dict from the first item of pairs to a list of the second items."""
+    groups: dict = {}
+    for key, value in pairs:
+        groups.setdefault(key, []).append(value)
+    return groups
 
 
 def places_of(tiles: QTable) -> np.ndarray:
@@ -235,11 +242,11 @@ def add_tiles(tiling: Tiling, added: dict[int, TileEvent], dropped: Collection[i
             for name, value in values.items():
                 table[name][row] = value
             continue
-        one = table[:1].copy()
-        one.replace_column("tile", np.array([event.tile if names.dtype.kind == "U" else int(event.tile)]))
+        added_row = table[:1].copy()
+        added_row.replace_column("tile", np.array([event.tile if names.dtype.kind == "U" else int(event.tile)]))
         for name, value in values.items():
-            one[name] = value
-        table = vstack([table, one], metadata_conflicts="silent")
+            added_row[name] = value
+        table = vstack([table, added_row], metadata_conflicts="silent")
     table.meta.pop("summary", None)
     table["state"] = np.where(np.isin(np.arange(len(table)), [*dropped]), TileState.DROPPED, "")
     return Tiling(table)

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from rfpsurvey._folder import read_index
+from rfpsurvey._folder import checksums_in
 from rfpsurvey._readers import read_fits_bytes
 from rfpsurvey.errors import InputError, listed
 from rfpsurvey.survey._folder import part_name, read_request
 from rfpsurvey.survey._generations import Generation, generations_of, read_plans
-from rfpsurvey.survey._history._events import Events, TileEvent, TileState, places_of
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState, grouped, places_of
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._work import plan_digest
 
@@ -32,10 +32,8 @@ class History:
         self.n_tiles = self.n_tiles_before = max(len(self._names), 1 + max(self.states.added, default=-1))
         added = [n + int((table["target_row"] >= n).sum()) for n, table in events.target_tables]
         self.n_targets = max(len(survey.outcomes), *added, 0)
-        self._known, self._plans = read_index(folder), read_plans(folder)
-        self._used: dict[int, list[str]] = {}
-        for row, plan in events.plans:
-            self._used.setdefault(row, []).append(plan)
+        self._present_plans, self._plans = checksums_in(folder), read_plans(folder)
+        self._used = grouped(events.plans)
         self.generations = generations_of(folder, read_request(folder))
         self.n_applied = len(events.of_plan(survey.provenance).files)
         self.past: dict[int, list[TileEvent]] = {}
@@ -51,18 +49,18 @@ class History:
 
     def earlier(self, event: TileEvent) -> TileEvent | None:
         """Return the recorded event of the same observation; None if there is none."""
-        return next((one for one in self.states.of(event.row) if one.observation == event.observation), None)
+        return next((other for other in self.states.of(event.row) if other.observation == event.observation), None)
 
-    def _read(self, row: int, plan: str) -> tuple[np.ndarray, dict] | None:
-        """Return the visits of a plan and the header of its file; None if the file was removed or is damaged."""
+    def _read(self, row: int, plan: str) -> tuple[np.ndarray | None, dict]:
+        """Return the visits of a plan and the header of its file; None and {} if it was removed or is damaged."""
         try:
             return read_fits_bytes(self.events.plan(row, plan), part_name(row))
         except InputError:
-            return None
+            return None, {}
 
     def _is_of(self, row: int, plan: str, targets: set[str]) -> bool:
         """Return whether a plan, without empty sky, has only the given targets."""
-        visits = content[0] if (content := self._read(row, plan)) else None
+        visits, _ = self._read(row, plan)
         return visits is not None and {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()} <= targets
 
     def plans(self, row: int) -> list[tuple[str, int]]:
@@ -78,12 +76,11 @@ class History:
 
     def _present(self, row: int) -> str | None:
         """Return the checksum of the present plan of a tile; None if there is none."""
-        entries = self._known.get(part_name(row)) if row < len(self._names) else None
-        return entries and entries[-1][1]
+        return self._present_plans.get(part_name(row)) if row < len(self._names) else None
 
     def _is_here(self, row: int, plan: str) -> bool:
         """Return whether a plan was made for the present position of a tile."""
-        cards = content[1] if (content := self._read(row, plan)) else {}
+        _, cards = self._read(row, plan)
         return np.array_equal([cards.get(name) for name in ("RA", "DEC", "POSANG")], self.place(row)[:3])
 
     def choose_plan(self, row: int, name: str, date: str, named: dict[str, str], targets: set[str]) -> tuple[str, int]:
@@ -108,23 +105,24 @@ class History:
             valid = generations if is_clear else []
         if not plans:
             raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
-        own = [plan for plan, first in plans if valid and first <= valid[-1].number]
+        by_date = [plan for plan, first in plans if valid and first <= valid[-1].number]
         if not (is_planned or named or (valid and valid[-1] is not generations[-1])):
-            own = []  # the tile is dropped in the present plan
-        if text and own and dict(plans)[own[-1]] < int(text):
+            by_date = []  # the tile is dropped in the present plan
+        days = {generation.number: generation.date for generation in generations}
+        if text and by_date and dict(plans)[by_date[-1]] < int(text):
             # the plan of this generation may have been replaced on its day, and was not kept then
-            days = {generation.number: generation.date for generation in generations}
-            own = [] if any(first > int(text) and days.get(first) == valid[-1].date for _, first in plans) else own
+            if any(first > int(text) and days.get(first) == valid[-1].date for _, first in plans):
+                by_date = []
         by_targets = [plan for plan, _ in plans if targets and not named and self._is_of(row, plan, targets)]
-        if by_targets and not {*own[-1:]} & {*by_targets}:
+        if by_targets and not {*by_date[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
-        if digest or not own:
+        if digest or not by_date:
             got = f"{'plan' if digest else 'generation'} {(digest or text)!r}" if named else date or "no date"
             raise InputError(
                 f"the plan with which tile {name} was observed must be one of {self._listed(row, name)}, got {got}; "
                 "give its digest in a column plan, or its generation"
             )
-        return own[-1], valid[-1].n_files
+        return by_date[-1], valid[-1].n_files
 
     @cached_property
     def _last_dates(self) -> list[str]:
@@ -133,9 +131,8 @@ class History:
         Dates that were corrected later are not considered.
         """
         stated: dict[tuple, int] = {}
-        for number in range(1, len(self.events.files) + 1):
-            for event in self.events.of_file(number):
-                stated.setdefault(event.observation, number)
+        for number, event in self.events.numbered():
+            stated.setdefault(event.observation, number)
         dates = sorted((stated[event.observation], event.date) for event in self.states.attempts)
         latest = [*accumulate((date for _, date in dates), max, initial="")]
         numbers = [number for number, _ in dates]
@@ -157,16 +154,14 @@ class History:
 
     def _digest(self, row: int, name: str, plan: str) -> str:
         """Return the digest of a plan of a tile in the header of its file; empty text if the plan is missing."""
-        if (content := self._read(row, plan)) is None:
-            return ""
-        visits, _ = content
-        return plan_digest(name, visits["positioner"], visits["target_id"])
+        visits, _ = self._read(row, plan)
+        return "" if visits is None else plan_digest(name, visits["positioner"], visits["target_id"])
 
     def _listed(self, row: int, name: str) -> str:
         """Return text that lists the plans of a tile."""
         dates = {generation.number: generation.date for generation in self.generations}
         texts = [
-            f"{self._digest(row, name, plan)} (generation {first}{_on(dates.get(first, ''))})"
+            f"{self._digest(row, name, plan)} (generation {first}{on_date(dates.get(first, ''))})"
             for plan, first in dict(self.plans(row)).items()
         ]
         return listed(texts)
@@ -176,5 +171,6 @@ class History:
         return np.array(self.states.added[row].place) if row in self.states.added else self._places[row]
 
 
-def _on(date: str) -> str:
+def on_date(date: str) -> str:
+    """Return words for a date, or empty text if there is no date."""
     return f" on {date}" if date else ""

@@ -27,7 +27,7 @@ from rfpsurvey.survey._generations import EVENTS, read_generations, replace_plan
 from rfpsurvey.survey._history._columns import check_others, columns_of_catalog, renamed, roles_of
 from rfpsurvey.survey._history._dates import check_not_future
 from rfpsurvey.survey._history._event_files import append_events, copied_bodies, read_events, write_copy
-from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles
+from rfpsurvey.survey._history._events import EventFile, Events, TileEvent, TileState, add_tiles, grouped
 from rfpsurvey.survey._history._plans import History
 from rfpsurvey.survey._history._replay import TileStates
 from rfpsurvey.survey._history._targets import DROPPED, IS_ADDED, target_changes
@@ -80,11 +80,12 @@ def record(
         raise refusal("enough must be a number above 0", enough, Number)
     for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
         check_switch(value, name)
-    folder, name = _folder_of(survey), str(table) if isinstance(table, str | os.PathLike) else ""
-    if _is_configuration(table):
+    folder, is_path = _folder_of(survey), isinstance(table, str | os.PathLike)
+    name = str(table) if is_path else ""
+    if is_path and native_format(_io.to_path(table)) is not None:
         table = _visits_of_configuration(table, survey, tile)
     else:
-        table = _io.read_table(table) if isinstance(table, str | os.PathLike) else as_table(table)[0]
+        table = _io.read_table(table) if is_path else as_table(table)[0]
     table = renamed(table, columns or {})
     roles = roles_of(table)
     named = columns_of_catalog(table, survey.provenance["catalog"].get("columns", ""))
@@ -121,8 +122,7 @@ def record(
             check_not_future(dates)
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
-            numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
-            append_events(events, tiles, changes, table, n_applied=history.n_applied, told=_told(name, note), **numbers)
+            append_events(history, tiles, changes, table, _told(name, note))
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
 
 
@@ -148,8 +148,7 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
         last = replace(file, tiles=(), targets=None, undoes=undoes)
         _check_undo(replace(events, files=(*events.files, last)), file, undoes)
         if not dry_run:
-            numbers = {"n_targets": history.n_targets, "n_tiles": history.n_tiles_before}
-            append_events(events, [], None, None, undoes, n_applied=history.n_applied, told=told, **numbers)
+            append_events(history, [], None, None, told, undoes)
     targets = None if file.targets is None else events.read_targets(file.targets)
     return {"undone": undoes, "changes": _changes(list(file.tiles), targets)}
 
@@ -158,28 +157,27 @@ def _check_undo(events: Events, file: EventFile, undone: int) -> None:
     """Raise an error if later records depend on a file that was undone; ``events`` are the events afterward."""
     states, known = TileStates(()), set()
     moved = {event.row for event in file.tiles if event.place and event.row < file.n_tiles}
-    for number in range(1, len(events.files) + 1):
-        for event in events.of_file(number):
-            attempts = states.of(event.row)
-            others = [one for one in attempts if one.observation != event.observation]
-            is_done = any(one.state == TileState.DONE for one in others)
-            same_date = [one for one in others if event.plan and one.date == event.date != ""]
-            reasons = {
-                "changes visits of its observation": not event.has_state and event.observation not in known,
-                "is an observation at its new position": bool(event.plan and event.row in moved and number > undone),
-                "moves it, although it would be observed": bool(event.place and attempts),
-                "observes it, although it would be finished": event.state == TileState.DONE and is_done,
-                "drops it, although it would be finished": event.state == TileState.DROPPED and is_done,
-                "states another plan of its observation": bool(same_date),
-            }
-            if reason := next((reason for reason, applies in reasons.items() if applies), None):
-                raise InputError(
-                    f"record {number} must be undone before record {undone}, because it concerns the same tile "
-                    f"{event.tile}, and {reason}"
-                )
-            states.add(event)
-            known = {key for key in known if event.state != TileState.PLANNED or key[0] != event.row}
-            known.add(event.observation)
+    for number, event in events.numbered():
+        attempts = states.of(event.row)
+        others = [attempt for attempt in attempts if attempt.observation != event.observation]
+        is_done = any(attempt.state == TileState.DONE for attempt in others)
+        same_date = [attempt for attempt in others if event.plan and attempt.date == event.date != ""]
+        reasons = {
+            "changes visits of its observation": not event.has_state and event.observation not in known,
+            "is an observation at its new position": bool(event.plan and event.row in moved and number > undone),
+            "moves it, although it would be observed": bool(event.place and attempts),
+            "observes it, although it would be finished": event.state == TileState.DONE and is_done,
+            "drops it, although it would be finished": event.state == TileState.DROPPED and is_done,
+            "states another plan of its observation": bool(same_date),
+        }
+        if reason := next((reason for reason, applies in reasons.items() if applies), None):
+            raise InputError(
+                f"record {number} must be undone before record {undone}, because it concerns the same tile "
+                f"{event.tile}, and {reason}"
+            )
+        states.add(event)
+        known = {key for key in known if event.state != TileState.PLANNED or key[0] != event.row}
+        known.add(event.observation)
 
 
 def _folder_of(survey) -> Path:
@@ -227,9 +225,9 @@ def events_table(survey) -> QTable:
         stated = [event.date for event in file.tiles] + (targets["date"].tolist() if len(targets) else [])
         first, last = (choose(filter(None, stated), default="") for choose in (min, max))
         told = [file.told.get(name, "") for name in ("time", "user", "table", "note")]
-        dates = first if first == last else f"{first} to {last}"
         counts = len({event.row for event in file.tiles}), sum(len(event.failed) for event in file.tiles), len(targets)
         undo = file.undoes or 0, events.undone.get(number, 0)
+        dates = first if first == last else f"{first} to {last}"
         rows.append((number, 0, *told, dates, *counts, *undo, next(iter(file.others), "")))
         for plan in (plan for plan in plans if plan.n_files == number):
             rows.append((0, plan.number, plan.date, "", "", plan.edits, "", 0, 0, 0, 0, 0, ""))
@@ -239,15 +237,14 @@ def events_table(survey) -> QTable:
 
 def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[str]]:
     """Return the identifiers of the tiles and targets that events change, by the kind of the change."""
-    found: dict[str, list[str]] = {}
+    changes = []
     for event in tiles:
-        found.setdefault(CHANGES[event.state], []).append(event.tile)
-        if event.failed:
-            found.setdefault("failed visits", []).extend(f"{event.tile}/{name}" for name in event.failed)
+        changes.append((CHANGES[event.state], event.tile))
+        changes += [("failed visits", f"{event.tile}/{name}") for name in event.failed]
     for row in () if targets is None else targets:
         state = {1: "dropped", IS_ADDED: "added"}.get(int(row[DROPPED]), "changed")
-        found.setdefault(f"targets {state}", []).append(str(row["target_id"]))
-    return found
+        changes.append((f"targets {state}", str(row["target_id"])))
+    return grouped(changes)
 
 
 def _present_survey(survey: Survey, folder: Path) -> Survey:
@@ -256,11 +253,6 @@ def _present_survey(survey: Survey, folder: Path) -> Survey:
     is_present = survey.provenance.get("events") == request.get("events")
     is_present &= str(request.get("tiles")).startswith(f"{len(survey.tiles)} ")
     return survey if is_present and {*TABLES} <= {*read_index(folder)} else Survey.read(folder)
-
-
-def _is_configuration(table: object) -> bool:
-    """Return whether the table of observations is the path of a plan of another program."""
-    return isinstance(table, str | os.PathLike) and native_format(_io.to_path(table)) is not None
 
 
 def _visits_of_configuration(path: str | os.PathLike, survey, tile: object) -> Table:
@@ -279,38 +271,36 @@ def _visits_of_configuration(path: str | os.PathLike, survey, tile: object) -> T
         raise InputError(f"tile must be given for {path}: the tile of the survey that it observed, got none")
     visits = survey.tile(tile)
     used = plan[np.asarray(plan["assigned"])]
-    row_of = {name: row for row, name in enumerate(np.asarray(used["positioner"]).astype(str).tolist())}
-    on_target, ids = np.asarray(used["on_target"]) == 1, np.asarray(used["target_id"]).astype(str).tolist()
+    on_target = np.asarray(used["on_target"]) == 1
+    positioners, targets = _texts_of(used)
+    observed = dict(zip(positioners, zip(targets, on_target.tolist(), strict=True), strict=True))
+    positioners, targets = _texts_of(visits)
     reasons, n_same, n_science = [], 0, 0
-    for name, target, row in zip(
-        np.asarray(visits["positioner"]).astype(str).tolist(),
-        np.asarray(visits["target_id"]).astype(str).tolist(),
-        visits["target_row"].tolist(),
-        strict=True,
-    ):
-        found = row_of.get(name)
-        same = found is not None and (row < 0 or ids[found] == target)
-        n_same, n_science = n_same + (same and row >= 0), n_science + (row >= 0)
-        reasons.append(
-            "no target in the file"
-            if found is None
-            else "another target in the file"
-            if not same
-            else ""
-            if on_target[found]
-            else "not on target"
-        )
+    for positioner, target, row in zip(positioners, targets, visits["target_row"].tolist(), strict=True):
+        other, is_good = observed.get(positioner, (None, False))
+        is_same = other is not None and (row < 0 or other == target)
+        n_same, n_science = n_same + (is_same and row >= 0), n_science + (row >= 0)
+        if other is None:
+            reasons.append("no target in the file")
+        elif not is_same:
+            reasons.append("another target in the file")
+        else:
+            reasons.append("" if is_good else "not on target")
     if n_science and not n_same:
         raise InputError(
             f"{path} must be the file of tile {tile}, got a file in which no fiber has its target of the survey"
         )
     if not on_target.any():
         warn(f"no fiber of {path} was on target; therefore, all visits of tile {tile} are recorded as failed")
-    others = len({*row_of} - {*np.asarray(visits["positioner"]).astype(str).tolist()})
-    if others:
+    if others := len({*observed} - {*positioners}):
         warn(f"{number_of(others, 'fiber')} of {path} with a target have no target in tile {tile}, and are ignored")
     mjd = plan.meta["header"].get("MJD")
     date = "" if mjd is None else Time(float(mjd), format="mjd", scale="utc").isot[:10]
-    good = np.array([not one for one in reasons], dtype=bool)
+    good = np.array([not reason for reason in reasons], dtype=bool)
     columns = {"positioner": visits["positioner"], "target": visits["target_id"], "good": good, "reason": reasons}
     return Table({**columns, "date": [date] * len(visits)})
+
+
+def _texts_of(visits: Table) -> tuple[list[str], list[str]]:
+    """Return the identifiers of the positioners and of the targets of visits as text."""
+    return tuple(np.asarray(visits[name]).astype(str).tolist() for name in ("positioner", "target_id"))

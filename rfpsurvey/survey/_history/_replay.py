@@ -41,6 +41,17 @@ ARRAYS = {"made": ("u1", 0), "failed": ("u1", 0), "last": ("i4", -1), "is_good":
 """For each array of `Replay`, its data type, and the value of targets without visits."""
 CHECKPOINT = f"{EVENTS}/state.npz"
 NUMBERS = ("n_good", "n_failed")
+STORED = {
+    "keys": ("S64", (None,)),
+    **{name: (kind, (None,)) for name, (kind, _) in ARRAYS.items()},
+    "n_flagged": ("i8", (2,)),
+    "marked_for": ("S64", (1,)),
+    "names": ("S24", (None,)),
+    "rows": ("i8", (None,)),
+    "counts": ("i8", (None, None)),
+    **dict.fromkeys(NUMBERS, ("i8", (None,))),
+}
+"""For each array of a checkpoint, its data type and its shape."""
 
 
 class TileStates:
@@ -188,21 +199,20 @@ class Replay:
 
     def write(self, folder: Path) -> None:
         """Write a checkpoint, from which `replay` continues."""
-        rows = list(self.counts)
-        names = sorted({name for one in self.counts.values() for name in one} - {*NUMBERS})
-        content = io.BytesIO()
-        arrays = {
-            "keys": np.array([_key(one) for one in self.attempts], dtype="S64"),
+        tiles = self.counts.values()
+        names = sorted({name for counts in tiles for name in counts} - {*NUMBERS})
+        values = {
+            "keys": [_key(event) for event in self.attempts],
             **{name: getattr(self, name) for name in ARRAYS},
-            "n_flagged": np.array([self.n_flagged, self.n_searched]),
-            "marked_for": np.array([self.marked_for], dtype="S64"),
-            "names": np.array(names, dtype="S24"),
-            "rows": np.array(rows, dtype=np.int64),
-            "counts": np.array([[self.counts[row].get(name, 0) for name in names] for row in rows], dtype=np.int64),
-            **{name: np.array([self.counts[row][name] for row in rows], dtype=np.int64) for name in NUMBERS},
+            "n_flagged": [self.n_flagged, self.n_searched],
+            "marked_for": [self.marked_for],
+            "names": names,
+            "rows": [*self.counts],
+            "counts": np.reshape([counts.get(name, 0) for counts in tiles for name in names], (len(tiles), len(names))),
+            **{name: [counts[name] for counts in tiles] for name in NUMBERS},
         }
-        arrays["counts"] = arrays["counts"].reshape(len(rows), len(names))
-        np.savez(content, **arrays)
+        content = io.BytesIO()
+        np.savez(content, **{name: np.array(values[name], dtype=kind) for name, (kind, _) in STORED.items()})
         body = content.getvalue()
         _io.write_bytes(folder / CHECKPOINT, hashlib.sha256(body).hexdigest().encode() + body)
 
@@ -213,13 +223,13 @@ def replay(events: Events, states: TileStates, ids: np.ndarray) -> Replay:
     ``ids`` contains the identifiers of all targets, with which those of the visits are compared.
     """
     attempts, n_targets = states.attempts, len(ids)
-    found = _read_checkpoint(events.folder, attempts, n_targets) or Replay(n_targets)
-    found.extend(n_targets)
-    for event in attempts[: len(found.attempts)]:
+    replayed = _read_checkpoint(events.folder, attempts, n_targets) or Replay(n_targets)
+    replayed.extend(n_targets)
+    for event in attempts[: len(replayed.attempts)]:
         events.plan(event.row, event.plan)  # the checkpoint does not depend on the files, which can be damaged
-    for event in attempts[len(found.attempts) :]:
-        found.add(event, events, ids)
-    return found
+    for event in attempts[len(replayed.attempts) :]:
+        replayed.add(event, events, ids)
+    return replayed
 
 
 def replay_of_plan(survey, events: Events) -> Replay:
@@ -267,39 +277,29 @@ def checkpoint_of(folder: Path) -> bytes:
 
 def _read_checkpoint(folder: Path, attempts: list[TileEvent], n_targets: int) -> Replay | None:
     """Return the state in the checkpoint; None if there is none, or if it is not the state after the first attempts."""
-    n = (None,)
-    expected = {
-        "keys": ("S64", n),
-        **{name: (kind, n) for name, (kind, _) in ARRAYS.items()},
-        "n_flagged": ("i8", (2,)),
-        "marked_for": ("S64", (1,)),
-        "names": ("S24", n),
-        **dict.fromkeys(("rows", *NUMBERS), ("i8", n)),
-        "counts": ("i8", (None, None)),
-    }
     try:
-        stored = read_arrays(io.BytesIO(checkpoint_of(folder)), expected, "the archive")
+        stored = read_arrays(io.BytesIO(checkpoint_of(folder)), STORED, "the archive")
     except InputError:
         return None
     keys, size = stored["keys"].tolist(), len(stored["made"])
     is_earlier = len(stored["rows"]) and N_LOST.encode() not in stored["names"]  # an earlier version wrote the file
-    if is_earlier or size > n_targets or keys != [_key(one) for one in attempts[: len(keys)]]:
+    if is_earlier or size > n_targets or keys != [_key(event) for event in attempts[: len(keys)]]:
         return None
-    found = Replay(0)
+    replayed = Replay(0)
     for name in ARRAYS:
-        setattr(found, name, stored[name])
-    found.attempts, (found.n_flagged, found.n_searched) = attempts[: len(keys)], stored["n_flagged"].tolist()
-    found.marked_for = stored["marked_for"].tolist()[0].decode()
+        setattr(replayed, name, stored[name])
+    replayed.attempts, (replayed.n_flagged, replayed.n_searched) = attempts[: len(keys)], stored["n_flagged"].tolist()
+    replayed.marked_for = stored["marked_for"].tolist()[0].decode()
     names = [*(name.decode() for name in stored["names"].tolist()), *NUMBERS]
     counts = np.column_stack([stored["counts"], *(stored[name] for name in NUMBERS)])
-    for row, own in zip(stored["rows"].tolist(), counts.tolist(), strict=True):
-        found.counts[row] = dict(zip(names, own, strict=True))
-    return found
+    for row, numbers in zip(stored["rows"].tolist(), counts.tolist(), strict=True):
+        replayed.counts[row] = dict(zip(names, numbers, strict=True))
+    return replayed
 
 
 def state_table(state) -> QTable:
     """Return the table of a `SurveyState`; see `SurveyState.table`."""
-    own, n, catalog = state.replayed, len(state.observed), state.catalog
+    replayed, catalog = state.replayed, state.catalog
     table = QTable({"target_id": column_of(catalog, "id")}, copy=False)
     counts = is_science(catalog)
     for name in ("requested", "observed", "failed", "left"):
@@ -307,16 +307,14 @@ def state_table(state) -> QTable:
     for name in ("kind", "priority") if isinstance(catalog, Catalog) else ("kind",):
         if (values := column_of(catalog, name)) is not None:
             table[name] = values
-    table["last"] = np.array(LAST)[last_results(own)]
-    for name, values in (
-        ("last_tile", [one.tile for one in own.attempts]),
-        ("last_date", [one.date for one in own.attempts]),
-    ):
-        table[name] = np.array([*values, ""])[own.last] if n else np.array([], dtype=str)
+    table["last"] = np.array(LAST)[last_results(replayed)]
+    for name in ("tile", "date"):
+        values = [getattr(event, name) for event in replayed.attempts]
+        table[f"last_{name}"] = np.array([*values, ""])[replayed.last]  # -1 stands for targets without a visit
     table.meta["events"] = state.record
     return describe(table, STATE)
 
 
-def last_results(own: Replay) -> np.ndarray:
+def last_results(replayed: Replay) -> np.ndarray:
     """Return the result of the last visit of each target as an index of ``LAST``."""
-    return np.where(own.last < 0, 0, np.where(own.is_good, LAST.index("good"), LAST.index("bad")))
+    return np.where(replayed.last < 0, 0, np.where(replayed.is_good, LAST.index("good"), LAST.index("bad")))

@@ -24,12 +24,7 @@ from rfpsurvey.survey._history._catalogs import (
 )
 from rfpsurvey.survey._history._dates import to_date
 from rfpsurvey.survey._history._event_files import read_events
-from rfpsurvey.survey._history._events import (
-    Events,
-    TileEvent,
-    TileState,
-    add_tiles,
-)
+from rfpsurvey.survey._history._events import Events, TileEvent, TileState, add_tiles
 from rfpsurvey.survey._history._replay import Replay, TileStates, last_results, replay, state_table
 from rfpsurvey.survey._history._rule import VisitRule
 from rfpsurvey.survey._history._targets import apply_changes
@@ -145,10 +140,9 @@ class SurveyState:
         dropped = np.zeros(len(catalog), dtype=bool)
         if events.target_tables:
             usual = 1 if visits is None or np.ndim(visits) else int(visits)
-            if visits is not None:  # recorded numbers of visits replace these numbers
-                catalog = replace(in_memory(catalog, "events of targets"), visits=to_visits(visits, len(catalog)))
-                visits = None
             catalog = in_memory(catalog, "events of targets")
+            if visits is not None:  # recorded numbers of visits replace these numbers
+                catalog, visits = replace(catalog, visits=to_visits(visits, len(catalog))), None
             catalog, dropped = apply_changes(catalog, events.target_tables, until, usual)
         columns = columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
@@ -163,8 +157,7 @@ class SurveyState:
         left = np.where(wanted < made, np.uint8(0), wanted - made)
         if priority is not columns["priority"]:
             catalog = replace(in_memory(catalog, "rules that change priorities"), priority=priority)
-        own = wanted, made, replayed.failed, left
-        return cls(catalog, *own, events, rule, until, replayed, states, dropped, given)
+        return cls(catalog, wanted, made, replayed.failed, left, events, rule, until, replayed, states, dropped, given)
 
     def before(self, n: int) -> "SurveyState":
         """Return the state after the first files of events, as if no visit had been made.
@@ -211,14 +204,14 @@ class SurveyState:
             Dict from the row of each tile to the number of files.
         """
         made: dict[tuple, int] = {}
-        for number, file in enumerate(self.events.files, 1):
-            for event in self.events.of_file(number):
-                made.setdefault(event.observation, file.n_applied if event.made_with < 0 else event.made_with)
-        found = {}
+        for number, event in self.events.numbered():
+            n_files = self.events.files[number - 1].n_applied if event.made_with < 0 else event.made_with
+            made.setdefault(event.observation, n_files)
+        generations = {}
         for row, event in self.kept.items():  # a tile keeps the plan with which its observation began
-            others = [one for one in self.states.of(row) if (one.state, one.plan) == (TileState.PARTLY, event.plan)]
-            found[row] = min(made[one.observation] for one in (event, *others))
-        return found
+            parts = [part for part in self.states.of(row) if (part.state, part.plan) == (TileState.PARTLY, event.plan)]
+            generations[row] = min(made[part.observation] for part in (event, *parts))
+        return generations
 
     @property
     def attempts(self) -> list[TileEvent]:
@@ -384,9 +377,8 @@ class SurveyState:
 
 def _check_visits(request: dict, catalog: Catalog | PartitionedCatalog) -> None:
     """Issue a warning if the first plan requested another number of visits than the catalog."""
-    targets, said = (
-        str(request.get("first", request).get(name, "")).partition(",")[0] for name in ("catalog", "visits")
-    )
+    first = request.get("first", request)
+    targets, said = (str(first.get(name, "")).partition(",")[0] for name in ("catalog", "visits"))
     now = number_of(int(columns_of(catalog, None)["requested"].sum(dtype=np.int64)), "visit")
     is_same = targets == number_of(len(catalog), "target")  # another catalog is an error when the survey is planned
     if is_same and said not in ("", now) and not request.get("required"):

@@ -13,7 +13,7 @@ from rfpsurvey.pipeline import Outcome
 from rfpsurvey.survey._bookkeeping import classes_by_column, rows_by_class
 from rfpsurvey.survey._folder import read_request
 from rfpsurvey.survey._history._catalogs import columns_of, is_science
-from rfpsurvey.survey._history._events import WORDS, TileState, places_of
+from rfpsurvey.survey._history._events import WORDS, TileState, grouped, places_of
 from rfpsurvey.survey._history._replay import visits_of
 from rfpsurvey.survey._history._state import SurveyState
 from rfpsurvey.survey._survey import Survey
@@ -130,7 +130,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     }
     classes, counts = classes_by_column(columns["priority"], columns["category"], wanted), {}
     for column, (class_of, names) in classes.items():
-        numbers = [np.bincount(class_of, weights=one, minlength=len(names)) for one in values.values()]
+        numbers = [np.bincount(class_of, weights=counted, minlength=len(names)) for counted in values.values()]
         counts[column] = names, np.column_stack(numbers).astype(np.int64)
     table = QTable(rows=rows_by_class(counts), names=(*classes, *values))
     progress = _progress(state, *classes["priority"])
@@ -160,10 +160,8 @@ def status_facts(status: QTable) -> dict:
 
 def _failures(state: SurveyState) -> list[dict]:
     """Return the positioners whose visits failed in several observed tiles, most failures first."""
-    failed: dict[str, list[str]] = {}
-    for event in state.attempts:
-        for name, reason in event.failed.items() if event.state == TileState.DONE else ():
-            failed.setdefault(name, []).append(reason)
+    done = [event for event in state.attempts if event.state == TileState.DONE]
+    failed = grouped(failure for event in done for failure in event.failed.items())
     repeated = sorted((-len(reasons), name) for name, reasons in failed.items() if len(reasons) > 1)
     return [
         {"positioner": name, "n_failed": -n, "reasons": ", ".join(sorted({*failed[name]} - {""}))}
@@ -174,8 +172,8 @@ def _failures(state: SurveyState) -> list[dict]:
 def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:
     """Return the number of visits of each target in the tiles that will be observed."""
     if is_planned:
-        own = np.asarray(survey.outcomes["observed"]).astype(np.int64)
-        return np.maximum(np.pad(own, (0, len(state) - len(own))) - state.observed, 0)
+        observed = np.asarray(survey.outcomes["observed"]).astype(np.int64)
+        return np.maximum(np.pad(observed, (0, len(state) - len(observed))) - state.observed, 0)
     planned = np.zeros(len(state), dtype=np.int64)
     places, added = places_of(survey.tiles), state.states.added
     for row in range(len(survey)):
@@ -191,35 +189,34 @@ def _areas(catalog, values: dict) -> list[dict]:
     """Return the numbers of visits in rectangles on the sky, which are as large as possible; none for small fields."""
     if not isinstance(catalog, Catalog):
         return []
-    icrs = catalog.coord.icrs
+    icrs, is_requested = catalog.coord.icrs, values["n_requested"] > 0
     for size in SIZES:
         cell = np.column_stack([icrs.ra.deg // size, (icrs.dec.deg + 90) // size]).astype(np.int64)
-        cells, place = np.unique(cell[values["n_requested"] > 0], axis=0, return_inverse=True)
+        cells, place = np.unique(cell[is_requested], axis=0, return_inverse=True)
         if 4 <= len(cells) <= MOST_AREAS:
             break
     else:
         return []
-    found = [
+    counts = {
+        name: np.bincount(place.reshape(-1), weights=numbers[is_requested], minlength=len(cells)).astype(np.int64)
+        for name, numbers in values.items()
+    }
+    return [
         {"ra": f"{a * size:g} to {(a + 1) * size:g}", "dec": f"{b * size - 90:g} to {(b + 1) * size - 90:g}"}
-        for a, b in cells
+        | {name: int(numbers[k]) for name, numbers in counts.items()}
+        for k, (a, b) in enumerate(cells)
     ]
-    for name, one in values.items():
-        counts = np.bincount(place.reshape(-1), weights=one[values["n_requested"] > 0], minlength=len(cells))
-        for area, count in zip(found, counts.astype(np.int64).tolist(), strict=True):
-            area[name] = count
-    return found
 
 
 def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     """Return the numbers of tiles by state, for each pass; ``bad`` are tiles whose last observation failed."""
-    number = {row: int(one) for row, one in enumerate(survey.tiles["pass"])}
-    number |= {row: event.place[3] for row, event in state.states.added.items()}
-    found: dict[int, dict] = {}
-    for row, one in number.items():
-        words = found.setdefault(one, {"pass": one, **dict.fromkeys(WORDS.values(), 0)})
+    passes = dict(enumerate(map(int, survey.tiles["pass"])))
+    passes |= {row: event.place[3] for row, event in state.states.added.items()}
+    counts = {number: {"pass": number, **dict.fromkeys(WORDS.values(), 0)} for number in sorted({*passes.values()})}
+    for row, number in passes.items():
         last, is_bad = state.states.state_of(row).state, bool(state.states.of(row))
-        words["bad" if last == TileState.PLANNED and is_bad else WORDS[last]] += 1
-    return [found[one] for one in sorted(found)]
+        counts[number]["bad" if last == TileState.PLANNED and is_bad else WORDS[last]] += 1
+    return [*counts.values()]
 
 
 def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:

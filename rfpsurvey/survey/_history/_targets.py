@@ -11,7 +11,7 @@ from astropy.time import Time
 from rfpsurvey._descriptions import VISITS_COLUMNS
 from rfpsurvey._io import check_fits_text
 from rfpsurvey._roles import to_kinds
-from rfpsurvey._units import to_flags, to_labels, to_plain, to_vectors, to_visits
+from rfpsurvey._units import to_flags, to_labels, to_plain, to_vectors, to_visits, values_at
 from rfpsurvey.catalog import Catalog
 from rfpsurvey.errors import InputError, brief, listed, number_of, warn
 from rfpsurvey.pipeline import PLANNED_COLUMNS
@@ -24,6 +24,8 @@ IS_ADDED = 2
 IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
+ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED)
+UNITS = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
 DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1)}
 # Missing value of a column, by the kind of its data type; -1 for integers.
 MISSING = {"f": np.nan, "U": "", "b": False}
@@ -38,16 +40,16 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     were already recorded; the second value is the number of these rows.
     """
     lower = {name.lower(): name for name in reversed(table.colnames)}
-    name = next((lower[one] for one in IDS if one in lower), None)
+    name = next((lower[role] for role in IDS if role in lower), None)
     if name is None:
         raise InputError(
             f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
         )
-    known, kinds = (*NUMBERS, *TEXTS, "visits", "state", "dropped"), _kinds_of(survey)
-    further = {one: kind for one, kind in kinds.items() if one not in known and one.lower() in lower}
-    if not further and not {*known} & {*lower}:
+    kinds = _kinds_of(survey)
+    further = {column: kind for column, kind in kinds.items() if column not in ROLES and column.lower() in lower}
+    if not further and not {*ROLES} & {*lower}:
         raise InputError(
-            f"a table of targets must have one of the columns {listed(known)}, got {listed(table.colnames)}"
+            f"a table of targets must have one of the columns {listed(ROLES)}, got {listed(table.colnames)}"
         )
     ids = np.asarray(to_labels(table[name], name))
     texts = np.asarray(survey.outcomes[ID])
@@ -58,37 +60,38 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table must have one row for each target, got {counts.max()} rows for {values[counts.argmax()]}"
         )
-    dates = [lower[one] for one in ("date", "night") if one in lower]
-    used = {name, *dates, *(lower[one] for one in known if one in lower), *(lower[one.lower()] for one in further)}
-    if {*table.colnames} - used:
-        warn(f"columns that are not used: {listed(one for one in table.colnames if one not in used)}")
+    dates = [lower[role] for role in ("date", "night") if role in lower]
+    used = {name, *dates, *(lower[role.lower()] for role in (*ROLES, *further) if role.lower() in lower)}
+    if unused := [column for column in table.colnames if column not in used]:
+        warn(f"columns that are not used: {listed(unused)}")
     ids, table = values, table[first]  # events do not depend on the order of rows
+    given = {role: table[lower[role]] for role in ROLES if role in lower}
     if "n_partitions" in survey.provenance["catalog"]:
         raise InputError("targets must be changed only in a survey of a catalog in memory, got a partitioned catalog")
     rows, n = _rows_of(ids, events, survey)
     new = np.flatnonzero(rows < 0)
     rows[new] = n + np.arange(len(new))
     changes = QTable({ROW: rows, ID: ids})
-    for one in NUMBERS:
-        if one in lower:
-            changes[one] = to_numbers(table[lower[one]], one)
-    for one in TEXTS:
-        if one in lower:
-            changes[one] = np.char.strip(np.ma.filled(np.ma.asarray(table[lower[one]]).astype(str), "").astype(str))
-    if "kind" in changes.colnames:
-        given = np.asarray(changes["kind"])
-        changes["kind"] = np.where(given == "", "", to_kinds(np.where(given == "", "science", given), "kind"))
-    for one, kind in further.items():
-        changes[one] = _further(table[lower[one.lower()]], one, kind, survey.provenance["units"].get(one))
-    visits = to_numbers(table[lower["visits"]], "visits") if "visits" in lower else np.full(len(ids), np.nan)
+    for role, column in given.items():
+        if role in NUMBERS:
+            changes[role] = to_numbers(column, role)
+        elif role in TEXTS:
+            changes[role] = np.char.strip(np.ma.filled(np.ma.asarray(column).astype(str), "").astype(str))
+    if "kind" in given:
+        kind = np.asarray(changes["kind"])
+        changes["kind"] = np.where(kind == "", "", to_kinds(np.where(kind == "", "science", kind), "kind"))
+    for column, kind in further.items():
+        changes[column] = _further(table[lower[column.lower()]], column, kind, survey.provenance["units"].get(column))
+    visits = to_numbers(given["visits"], "visits") if "visits" in given else np.full(len(ids), np.nan)
     to_visits(visits[~np.isnan(visits)], int((~np.isnan(visits)).sum()))
     changes["visits"] = np.where(np.isnan(visits), -1, visits).astype(np.int16)
-    changes[DROPPED] = _dropped(table, lower)
-    changes["date"] = [to_date(one) for one in table[dates[0]]] if dates else [""] * len(ids)
-    check_fits_text({f"values of {one!r}": changes[one] for one in changes.colnames}, "omit these targets")
+    changes[DROPPED] = _dropped(given, len(ids))
+    changes["date"] = [*map(to_date, table[dates[0]])] if dates else [""] * len(ids)
+    check_fits_text({f"values of {column!r}": changes[column] for column in changes.colnames}, "omit these targets")
     _check_numbers(changes, new, "priority" in kinds, ids)
-    lacking = [one for one in kinds if one not in known and not (one in further and _given(changes[one])[new].all())]
-    unknown = [one for one in survey.provenance.get("rule_columns", ()) if one in lacking and one not in further]
+    complete = [column for column in further if _given(changes[column])[new].all()]
+    lacking = [column for column in kinds if column not in (*ROLES, *complete)]
+    unknown = [name for name in survey.provenance.get("rule_columns", ()) if name in lacking and name not in further]
     if len(new) and unknown:
         raise InputError(
             f"a table with added targets must have the column {unknown[0]}, which a rule of the survey uses, got "
@@ -98,7 +101,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         warn(f"the values of {listed(lacking)} are not recorded for all added targets; rules treat them as missing")
     first = events.target_tables[0][0] if events.target_tables else n
     placed = changes["ra"] if "ra" in changes.colnames else np.full(len(ids), np.nan)
-    if not {"state", "dropped"} & {*lower} and (np.isfinite(placed) & (rows < first)).any():
+    if not {"state", "dropped"} & {*given} and (np.isfinite(placed) & (rows < first)).any():
         raise InputError(
             "a table of targets must have a column state if it contains positions of targets of the first plan, got "
             f"{listed(table.colnames)}, which can be a catalog; omit the positions, or add the column state"
@@ -112,28 +115,26 @@ def _known(changes: QTable, events: Events) -> np.ndarray:
 
     Rows without a date that were recorded before change a target again, except if they add the target.
     """
-    rows, known = np.asarray(changes[ROW]), np.ones(len(changes), dtype=bool)
-    for name in {*changes.colnames} - {ROW, ID, "date"}:
-        values = np.asarray(changes[name])
-        last = values.copy()
-        last[:] = 0 if name == DROPPED else MISSING.get(last.dtype.kind, -1)
-        for _, table in events.target_tables:
-            if name in table.colnames:
-                _, own, other = np.intersect1d(rows, table[ROW], return_indices=True)
-                found = np.asarray(table[name])[other]
-                last = last.astype(np.result_type(last, found))
-                last[own[_given(found)]] = found[_given(found)]
-        if name == DROPPED:
-            values, last = (np.where(one == IS_ADDED, 0, one) for one in (values, last))
-        known &= ~_given(values) | (values == last)
-    repeated = np.zeros(len(changes), dtype=bool)
+    stated = {name: np.asarray(changes[name]) for name in changes.colnames if name not in (ROW, ID, "date")}
+    last = {name: np.full_like(values, MISSING.get(values.dtype.kind, -1)) for name, values in stated.items()}
+    last[DROPPED][:] = 0
+    known, repeated = np.ones(len(changes), dtype=bool), np.zeros(len(changes), dtype=bool)
     for _, table in events.target_tables:
-        _, own, other = np.intersect1d(rows, table[ROW], return_indices=True)
-        same = np.asarray(changes["date"])[own] == np.asarray(table["date"])[other]
-        for name in {*changes.colnames} - {ROW, ID, "date"}:
-            values = np.asarray(changes[name])[own]
-            same &= ~_given(values) | (values == np.asarray(table[name])[other] if name in table.colnames else False)
-        repeated[own] |= same
+        _, here, there = np.intersect1d(changes[ROW], table[ROW], return_indices=True)
+        same = np.asarray(changes["date"])[here] == np.asarray(table["date"])[there]
+        for name, values in stated.items():
+            if name in table.colnames:
+                recorded = np.asarray(table[name])[there]
+                same &= ~_given(values[here]) | (values[here] == recorded)
+                last[name] = _changed(last[name], here, recorded)
+            else:
+                same &= ~_given(values[here])
+        repeated[here] |= same
+    for name, values in stated.items():
+        same = values == last[name]
+        if name == DROPPED:  # an added target is not dropped
+            same = np.where(values == IS_ADDED, 0, values) == np.where(last[name] == IS_ADDED, 0, last[name])
+        known &= ~_given(values) | same
     old = repeated & ~known & ((np.asarray(changes["date"]) != "") | (np.asarray(changes[DROPPED]) == IS_ADDED))
     if old.any():
         warn(
@@ -198,26 +199,28 @@ def apply_changes(
     dropped[rows[new[late[new]]]] = True
     changes, rows = changes[~late], rows[~late]
     for name in ("priority", "subpriority", "visits", *TEXTS):
-        values, old = np.asarray(changes[name]), getattr(catalog, name)
-        given = _given(values)
-        if not given.any():
+        values, column = np.asarray(changes[name]), getattr(catalog, name)
+        if not _given(values).any():
             continue
-        if old is None and name not in DEFAULTS:
+        if column is None and name not in DEFAULTS:
             warn(f"the recorded values of {name} have no effect, because the catalog has no column {name}")
             continue
-        old = np.full(len(catalog), DEFAULTS[name]) if old is None else old
-        changed[name] = old.astype(np.result_type(old, values)) if name in TEXTS else old.copy()
-        changed[name][rows[given]] = values[given]  # of several values for a target, the last one remains
+        changed[name] = _changed(np.full(len(catalog), DEFAULTS[name]) if column is None else column, rows, values)
     for name in () if catalog.extra is None else {*changes.colnames} & {*catalog.extra.colnames}:
-        column, values = catalog.extra[name], np.asarray(changes[name])
-        old, given = np.array(getattr(column, "value", column)), _given(values)
-        old = old.astype(np.result_type(old, values)) if old.dtype.kind == "U" else old
-        old[rows[given]] = values[given]
-        changed.setdefault("extra", catalog.extra.copy())[name] = _like(old, column)
+        extra = changed.setdefault("extra", catalog.extra.copy())
+        extra[name] = _changed(extra[name], rows, np.asarray(changes[name]))
     catalog = replace(catalog, numbered=False, **changed) if changed else catalog
     state = np.asarray(changes[DROPPED])
     dropped[rows[state >= 0]] = state[state >= 0] == 1
     return catalog, dropped
+
+
+def _changed(column, rows: np.ndarray, values: np.ndarray) -> np.ndarray | u.Quantity:
+    """Return a column with other values, except missing values, in some rows; the last of several values remains."""
+    changed, given = np.array(getattr(column, "value", column)), _given(values)
+    changed = changed.astype(np.result_type(changed, values)) if changed.dtype.kind == "U" else changed
+    changed[rows[given]] = values[given]
+    return _like(changed, column)
 
 
 def _stacked(tables: list[QTable]) -> QTable:
@@ -229,7 +232,7 @@ def _stacked(tables: list[QTable]) -> QTable:
         kinds = [table[name].dtype.kind for table in tables if name in table.colnames]
         missing = MISSING.get(kinds[0] if kinds else "U" if name in TEXTS else "f", -1)
         columns[name] = np.concatenate(
-            [np.asarray(one[name]) if name in one.colnames else np.full(len(one), missing) for one in tables]
+            [np.asarray(table[name]) if name in table.colnames else np.full(len(table), missing) for table in tables]
         )
     return QTable(columns)
 
@@ -238,31 +241,27 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     """Return the row of each target (-1 for new targets), and the number of targets of the survey."""
     known = np.asarray(survey.outcomes[ID])
     if known.dtype.kind != ids.dtype.kind:
-        kinds = {"i": "numbers", "u": "numbers"}
-        raise InputError(
-            f"the identifiers of targets must be {kinds.get(known.dtype.kind, 'text')}, as in the catalog, got "
-            f"{kinds.get(ids.dtype.kind, 'text')}"
-        )
-    parts, numbers = [known], [np.arange(len(known))]
+        needed, given = ("text", "numbers") if known.dtype.kind == "U" else ("numbers", "text")
+        raise InputError(f"the identifiers of targets must be {needed}, as in the catalog, got {given}")
+    n_first, parts, numbers = len(known), [known], [np.arange(len(known))]
     for n, table in events.target_tables:
         rows = np.asarray(table[ROW])
-        keep = rows >= max(n, len(known))
+        keep = rows >= max(n, n_first)
         parts.append(np.asarray(table[ID])[keep])
         numbers.append(rows[keep])
     known, number = np.concatenate(parts), np.concatenate(numbers)
-    wanted = np.flatnonzero(np.isin(known, ids))
-    values, first, times = np.unique(known[wanted], return_index=True, return_counts=True)
+    used = np.isin(known, ids)
+    known, number = known[used], number[used]
+    values, times = np.unique(known, return_counts=True)
     if (times > 1).any():
         raise InputError(
             f"the identifier of a target must be unique, but the survey has {times.max()} targets "
             f"{values[times.argmax()]}"
         )
-    place = np.minimum(np.searchsorted(values, ids), max(len(values) - 1, 0))
-    found = np.full(len(ids), -1, dtype=np.int64)
-    if len(values):
-        same = values[place] == ids
-        found[same] = number[wanted[first[place[same]]]]
-    return found, len(known)
+    rows = np.full(len(ids), -1, dtype=np.int64)
+    _, here, there = np.intersect1d(ids, known, return_indices=True)
+    rows[here] = number[there]
+    return rows, n_first
 
 
 def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np.ndarray) -> None:
@@ -292,18 +291,17 @@ def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np
 
 def to_numbers(column, name: str, unit: u.UnitBase | None = None) -> np.ndarray:
     """Return the values of a column in a unit, by default degrees, mas / yr or no unit; NaN for missing values."""
-    usual = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
-    unit, own = unit or usual.get(name), getattr(column, "unit", None)
+    unit, given = unit or UNITS.get(name), getattr(column, "unit", None)
     try:
         values = np.ma.filled(np.ma.asarray(getattr(column, "value", column)).astype(float), np.nan)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} must be numbers: {error}") from None
-    if own is None:
+    if given is None:
         return values
     try:
-        return (values * u.Unit(own)).to_value(unit or u.dimensionless_unscaled)
+        return (values * u.Unit(given)).to_value(unit or u.dimensionless_unscaled)
     except u.UnitConversionError:
-        raise InputError(f"{name} must have the unit {unit or 'of a plain number'}, got {own}") from None
+        raise InputError(f"{name} must have the unit {unit or 'of a plain number'}, got {given}") from None
 
 
 def flag_codes(column, name: str) -> np.ndarray:
@@ -314,13 +312,13 @@ def flag_codes(column, name: str) -> np.ndarray:
     return np.where(missing, -1, to_flags(column, name)).astype(np.int16)
 
 
-def _dropped(table: Table, lower: dict) -> np.ndarray:
+def _dropped(given: dict, n: int) -> np.ndarray:
     """Return 1 for dropped targets, 0 for targets that are observed again, 2 for added ones, and -1 for others."""
-    if "dropped" in lower:
-        return flag_codes(table[lower["dropped"]], "dropped")
-    if "state" not in lower:
-        return np.full(len(table), -1, dtype=np.int16)
-    words = np.ma.filled(np.ma.asarray(table[lower["state"]]).astype(str), "").tolist()
+    if "dropped" in given:
+        return flag_codes(given["dropped"], "dropped")
+    if "state" not in given:
+        return np.full(n, -1, dtype=np.int16)
+    words = np.ma.filled(np.ma.asarray(given["state"]).astype(str), "").tolist()
     codes = {"dropped": 1, "planned": 0, "added": IS_ADDED, "": -1}
     for word in words:
         if word not in codes:
@@ -355,35 +353,28 @@ def _joined(catalog: Catalog, new: QTable, visits: int) -> Catalog:
     if epoch is not None and not epoch.isscalar:
         warn("the catalog has an epoch for each target; the last epoch is assumed for added targets")
         epoch = Time(np.concatenate([epoch.jyear, np.full(n, epoch.jyear.max())]), format="jyear")
-    coordinates = {
-        "ra": np.concatenate([icrs.ra.deg, np.asarray(new["ra"])]) * u.deg,
-        "dec": np.concatenate([icrs.dec.deg, np.asarray(new["dec"])]) * u.deg,
-    }
-    if catalog.has_proper_motion:
-        for key, name in (("pm_ra_cosdec", "pmra"), ("pm_dec", "pmdec")):
-            own = np.asarray(new[name]) if name in new.colnames else np.full(n, np.nan)
-            coordinates[key] = np.concatenate([getattr(icrs, key).to_value(u.mas / u.yr), own]) * u.mas / u.yr
+    names = {"ra": "ra", "dec": "dec"}
+    names |= {"pm_ra_cosdec": "pmra", "pm_dec": "pmdec"} if catalog.has_proper_motion else {}
+    coordinates = {}
+    for coordinate, name in names.items():
+        added = np.asarray(new[name]) if name in new.colnames else np.full(n, np.nan)
+        coordinates[coordinate] = np.concatenate([getattr(icrs, coordinate).to_value(UNITS[name]), added]) * UNITS[name]
     columns = {"id": np.concatenate([catalog.id, np.asarray(new[ID])])}
     for name in ("priority", "subpriority", "visits", *TEXTS):
-        own, old, default = np.asarray(new[name]), getattr(catalog, name), DEFAULTS.get(name, 0.0)
-        default = np.uint8(visits) if name == "visits" else default
-        lacking = own == "" if name in TEXTS else ~(own >= 0) if name == "visits" else ~np.isfinite(own)
-        if old is None and (name not in DEFAULTS or lacking.all()):
+        added, present = np.asarray(new[name]), getattr(catalog, name)
+        default, lacking = np.uint8(visits) if name == "visits" else DEFAULTS.get(name, 0.0), ~_given(added)
+        if present is None and (name not in DEFAULTS or lacking.all()):
             continue
         if name not in DEFAULTS and lacking.any():
             warn(f"the {name} of {number_of(int(lacking.sum()), 'added target')} is not recorded; 0 is assumed")
-        old = np.full(len(catalog), default) if old is None else old
-        columns[name] = np.concatenate([old, np.where(lacking, default, own)])
-    extra = None if catalog.extra is None else QTable({k: _extended(v, n) for k, v in catalog.extra.items()})
+        present = np.full(len(catalog), default) if present is None else present
+        columns[name] = np.concatenate([present, np.where(lacking, default, added)])
+    rows = np.append(np.arange(len(catalog)), np.full(n, -1))  # row -1 stands for missing values
+    extra = None if catalog.extra is None else catalog.extra[rows]
+    for name, column in () if extra is None else catalog.extra.items():
+        extra[name] = _like(values_at(np.asarray(getattr(column, "value", column)), rows), column)
     coord = SkyCoord(**coordinates)
     return replace(catalog, coord=coord, extra=extra, epoch=epoch, numbered=False, **columns)
-
-
-def _extended(column, n: int):
-    """Return a column with n missing values at the end."""
-    values = np.asarray(getattr(column, "value", column))
-    missing = MISSING.get(values.dtype.kind, -1)
-    return _like(np.concatenate([values, np.full(n, missing).astype(values.dtype)]), column)
 
 
 def _like(values: np.ndarray, column) -> np.ndarray | u.Quantity:

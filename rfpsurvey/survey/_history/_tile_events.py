@@ -1,7 +1,6 @@
 """Convert a table of observations, or of changes to tiles, to events."""
 
 import re
-from collections.abc import Collection
 
 import numpy as np
 from astropy.table import Table
@@ -10,11 +9,13 @@ from rfpsurvey._io import check_fits_text
 from rfpsurvey._units import to_labels
 from rfpsurvey.errors import MOST_WHOLE, InputError, listed, short, warn
 from rfpsurvey.survey._history._columns import VISITS, columns_of, groups_of
-from rfpsurvey.survey._history._events import TileEvent, TileState
-from rfpsurvey.survey._history._plans import History
+from rfpsurvey.survey._history._events import TileEvent, TileState, grouped
+from rfpsurvey.survey._history._plans import History, on_date
 from rfpsurvey.survey._history._targets import to_numbers
 from rfpsurvey.tiling import when_of
 
+NAMED = ("plan", "generation", "target")
+"""Roles of columns that determine the plan with which a tile was observed."""
 MOST_FRACTION = 10
 """Largest fraction of an exposure; larger numbers are usually percentages."""
 
@@ -24,14 +25,13 @@ def tile_events(
 ) -> tuple[list[TileEvent], int, int]:
     """Return the new events of tiles, and the numbers of known events and of tiles without an observation."""
     n = len(table)
-    names = (
-        np.full(n, str(tile)) if tile is not None else np.asarray(to_labels(table[roles["tile"]], "tile")).astype(str)
-    )
+    names = [str(tile)] * n if tile is not None else to_labels(table[roles["tile"]], "tile").astype(str).tolist()
     columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
     is_visit = [any(columns[role] and columns[role][k] for role in VISITS) for k in range(n)]
-    has_states = not all(is_visit) or bool(columns["state"] or columns["fraction"])
-    groups = groups_of(names.tolist(), columns["date"])
+    # a table of visits alone states that their tiles were observed
+    usual = TileState.DONE if all(is_visit) and not (columns["state"] or columns["fraction"]) else ""
+    groups = groups_of(names, columns["date"])
     place = {name: (history.row_of.get(name, history.n_tiles), len(name), name) for name, _ in groups}
 
     def order(group: tuple[str, str]) -> tuple:
@@ -45,22 +45,24 @@ def tile_events(
         whole = [k for k in rows if not is_visit[k]]
         if len(whole) > 1:
             raise InputError(f"a table must have one row for each tile and date, got {len(whole)} rows for tile {name}")
-        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, has_states=has_states)
+        state, fraction = _state_of(columns, whole, rows, enough, history.of(name), date, usual)
         if not state:
             if len(rows) > len(whole):
                 # raises an error if this date is not possible
-                _event(TileState.DONE, name, date, fraction, history, ())
+                _event(TileState.DONE, name, date, fraction, history, {})
                 raise InputError(
-                    f"the state of tile {name}{_on(date)} must be given in a row without a positioner or target, got "
-                    f"{'no state' if whole else 'only rows of visits'}"
+                    f"the state of tile {name}{on_date(date)} must be given in a row without a positioner or target, "
+                    f"got {'no state' if whole else 'only rows of visits'}"
                 )
             n_ignored += 1
             continue
-        roles_of_plan = ("plan", "generation", "target")
-        named = {role: {columns[role][k] for k in rows if columns[role]} - {""} for role in roles_of_plan}
-        event = _event(state, name, date, fraction, history, (table, roles, whole), **named)
+        named = {role: {columns[role][k] for k in rows if columns[role]} - {""} for role in NAMED}
+        if state == TileState.ADDED:
+            event = _addition(name, history, table, roles, whole)
+        else:
+            event = _event(state, name, date, fraction, history, named)
         if state in (TileState.DONE, TileState.PARTLY, TileState.BAD):
-            is_repeated = any(one.date == date for one in history.of(name))
+            is_repeated = any(earlier.date == date for earlier in history.of(name))
             discards = replaces or any(columns["replaces"] and columns["replaces"][k] for k in rows)
             event = event._replace(has_state=bool(whole) or not is_repeated, replaces=discards)
             event = _with_failures(columns, [k for k in rows if k not in whole], event, history, roles)
@@ -74,19 +76,12 @@ def tile_events(
 
 
 def _state_of(
-    columns: dict,
-    whole: list[int],
-    rows: list[int],
-    enough: float,
-    earlier: list[TileEvent],
-    date: str,
-    *,
-    has_states: bool,
+    columns: dict, whole: list[int], rows: list[int], enough: float, earlier: list[TileEvent], date: str, usual: str
 ) -> tuple[str, float]:
     """Return the state of a tile, and the fraction of its exposure, from the row of the tile.
 
     Without this row, the tile has the state that was recorded before for this date. If the tile was not begun before,
-    and the table has no states of tiles, the tile is done. ``earlier`` contains the recorded observations of the tile.
+    it has the state ``usual``. ``earlier`` contains the recorded observations of the tile.
     """
     for row in rows:
         if columns["state"] is not None and row not in whole and columns["state"][row]:
@@ -95,9 +90,9 @@ def _state_of(
                 "in a row with one; whether a visit was successful is stated by good"
             )
     if not whole:
-        known = [(one.state, one.fraction) for one in earlier if one.date == date]
-        is_begun = any(one.state in (TileState.DONE, TileState.PARTLY) for one in earlier)
-        return known[-1] if known else ("" if is_begun or has_states else TileState.DONE, 1.0)
+        known = [(event.state, event.fraction) for event in earlier if event.date == date]
+        is_begun = any(event.state in (TileState.DONE, TileState.PARTLY) for event in earlier)
+        return known[-1] if known else ("" if is_begun else usual, 1.0)
     row = whole[0]
     fraction = 1.0 if columns["fraction"] is None else columns["fraction"][row]
     if not 0 <= fraction <= MOST_FRACTION:
@@ -112,25 +107,12 @@ def _state_of(
     return (TileState.DONE if fraction >= enough else TileState.PARTLY), fraction
 
 
-def _event(
-    state: str,
-    name: str,
-    date: str,
-    fraction: float,
-    history: History,
-    source: tuple,
-    *,
-    plan: Collection[str] = (),
-    generation: Collection[str] = (),
-    target: Collection[str] = (),
-) -> TileEvent:
+def _event(state: str, name: str, date: str, fraction: float, history: History, values: dict) -> TileEvent:
     """Return the event of a tile without failed positioners, or raise an error if it is not possible.
 
-    ``plan``, ``generation`` and ``target`` are the digests of plans, the generations and the targets in the table.
+    ``values`` contains the digests of plans, the generations and the targets in the table, by role (`NAMED`).
     """
     states = history.states
-    if state == TileState.ADDED:
-        return _addition(name, history, *source)
     if name not in history.row_of:
         raise InputError(
             f"tile must be a tile of the survey, such as {next(iter(history.row_of), 'none')}, got {name!r}"
@@ -138,30 +120,29 @@ def _event(
     row = history.row_of[name]
     if state in (TileState.PLANNED, TileState.DROPPED):
         return TileEvent(row, name, state, date, 0.0)
-    earlier = [one for one in states.of(row) if one.date == date]
-    named = {"plan": plan, "generation": generation}
-    for what, values in named.items():
-        if len(values) > 1:
+    earlier = [event for event in states.of(row) if event.date == date]
+    targets = values.pop("target", set())
+    for what, texts in values.items():
+        if len(texts) > 1:
             raise InputError(
-                f"{what} must be the same in all rows of tile {name}{_on(date)}, got {listed(sorted(values))}"
+                f"{what} must be the same in all rows of tile {name}{on_date(date)}, got {listed(sorted(texts))}"
             )
-    named = {what: next(iter(values)) for what, values in named.items() if values}
-    chosen = history.choose_plan(row, name, date, named, {*target}) if named else None
-    if chosen and any(one.plan != chosen[0] for one in earlier if date):
+    named = {what: text for what, texts in values.items() for text in texts}
+    chosen = history.choose_plan(row, name, date, named, targets) if named else None
+    if chosen and any(event.plan != chosen[0] for event in earlier if date):
         got = listed(f"{what} {value!r}" for what, value in named.items())
-        raise InputError(f"plan must be that of the recorded observation of tile {name}{_on(date)}, got {got}")
-    stated = [one[2:5] for one in history.past.get(row, ()) if one.has_state]
+        raise InputError(f"plan must be that of the recorded observation of tile {name}{on_date(date)}, got {got}")
+    stated = [event[2:5] for event in history.past.get(row, ()) if event.has_state]
     is_repeated = date or (state, date, fraction) in stated
     present = [plan for plan, _ in history.plans(row)][-1:]
     if earlier and (is_repeated or earlier[-1].state == TileState.DONE or [earlier[-1].plan] == present):
         return TileEvent(row, name, state, date, fraction, earlier[-1].plan, made_with=earlier[-1].made_with)
-    done = [one for one in states.of(row) if one.state == TileState.DONE]
-    if done:
+    if done := [event for event in states.of(row) if event.state == TileState.DONE]:
         raise InputError(
-            f"tile {name} was already observed{_on(done[0].date)}; to correct this record, give the same date, got "
+            f"tile {name} was already observed{on_date(done[0].date)}; to correct this record, give the same date, got "
             f"{date or 'no date'!r}"
         )
-    chosen, n_files = chosen or history.choose_plan(row, name, date, {}, {*target})
+    chosen, n_files = chosen or history.choose_plan(row, name, date, {}, targets)
     event = TileEvent(row, name, state, date, fraction, chosen, made_with=n_files)
     history.events.visits(event)  # raises an error if the file of the tile is missing or damaged
     return event
@@ -169,8 +150,7 @@ def _event(
 
 def _addition(name: str, history: History, table: Table, roles: dict, whole: list[int]) -> TileEvent:
     """Return the event of a new tile, or of a tile with a new position."""
-    lacking = [one for one in ("ra", "dec") if one not in roles]
-    if lacking:
+    if lacking := [role for role in ("ra", "dec") if role not in roles]:
         raise InputError(f"an added tile must have the columns ra and dec, got no {' and '.join(lacking)}")
     if np.asarray(history.survey.tiles["tile"]).dtype.kind in "iu" and not re.fullmatch(r"0|[1-9][0-9]{0,17}", name):
         raise InputError(f"the names of added tiles must be whole numbers, as those of the survey, got {name!r}")
@@ -179,11 +159,11 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
     if row is None and when is not None:
         raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")
     place = [] if row is None else history.place(row).tolist()
-    for k, one in enumerate(("ra", "dec", "position_angle", "pass")):
-        if one in roles:
-            place[k : k + 1] = [float(to_numbers(table[roles[one]][whole[:1]], one)[0])]
+    for k, role in enumerate(("ra", "dec", "position_angle", "pass")):
+        if role in roles:
+            place[k : k + 1] = [float(to_numbers(table[roles[role]][whole[:1]], role)[0])]
         elif row is None:
-            place.append(1.0 if one == "pass" else 0.0)
+            place.append(1.0 if role == "pass" else 0.0)
     if not (np.isfinite(place[:3]).all() and -90 <= place[1] <= 90):
         raise InputError(f"the position of tile {name} must be finite angles, got {short(place[:3])}")
     if not (abs(place[3]) < MOST_WHOLE and place[3] == int(place[3])):
@@ -200,15 +180,15 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
 def _check_possible(event: TileEvent, history: History) -> None:
     """Raise an error if an event contradicts the observations of its tile."""
     attempts, name = history.states.of(event.row), event.tile
-    done = [one for one in attempts if one.state == TileState.DONE and one.observation != event.observation]
+    done = [other for other in attempts if other.state == TileState.DONE and other.observation != event.observation]
     if event.state == TileState.ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
         raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
     if event.state == TileState.DROPPED and done:
-        raise InputError(f"tile {name} must not be dropped, because it was observed{_on(done[0].date)}")
+        raise InputError(f"tile {name} must not be dropped, because it was observed{on_date(done[0].date)}")
     if event.state == TileState.DONE and done:
         raise InputError(
-            f"tile {name} must be observed only once, got its observations{_on(event.date)} and{_on(done[0].date)}; "
-            "record one of them as bad"
+            f"tile {name} must be observed only once, got its observations{on_date(event.date)} and"
+            f"{on_date(done[0].date)}; record one of them as bad"
         )
 
 
@@ -229,11 +209,11 @@ def _is_known(event: TileEvent, history: History) -> bool:
         return is_same
     if event.replaces:
         return is_same
-    known = any(one.includes(event) for one in history.past.get(event.row, ()))
+    known = any(past.includes(event) for past in history.past.get(event.row, ()))
     if known and not is_same:
         warn(
-            f"the state of tile {event.tile}{_on(event.date)} was corrected after this record, and the correction is "
-            "kept; to undo it, record the state planned for this tile, and then its observations"
+            f"the state of tile {event.tile}{on_date(event.date)} was corrected after this record, and the correction "
+            "is kept; to undo it, record the state planned for this tile, and then its observations"
         )
     return known
 
@@ -243,14 +223,16 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
     if not rows:
         return event
     failed, good, visits = {}, set(), history.events.visits(event)[0]
-    ids = {"positioner": visits["positioner"], "target": visits["target_id"]}
-    ids = {what: list(map(str, values.tolist())) for what, values in ids.items()}
-    positioners_of = {what: _grouped(names, ids["positioner"]) for what, names in ids.items()}
+    positioners, targets = (list(map(str, visits[name].tolist())) for name in ("positioner", "target_id"))
+    positioners_of = {
+        what: grouped(zip(names, positioners, strict=True))
+        for what, names in (("positioner", positioners), ("target", targets))
+    }
     if columns["spectrograph"]:
         group_of = history.groups(roles["spectrograph"])
-        names = [group_of[name] for name in ids["positioner"]]
-        positioners_of["spectrograph"] = dict.fromkeys(group_of.values(), ()) | _grouped(names, ids["positioner"])
-    pairs = {*zip(ids["positioner"], ids["target"], strict=True)}
+        of_visits = grouped((group_of[name], name) for name in positioners)
+        positioners_of["spectrograph"] = dict.fromkeys(group_of.values(), ()) | of_visits
+    pairs = {*zip(positioners, targets, strict=True)}
     for k in rows:
         what = next(role for role in VISITS if columns[role] and columns[role][k])
         name = columns[what][k]
@@ -271,15 +253,3 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
         else:
             good.update(positioners_of[what][name])
     return event._replace(failed=dict(sorted(failed.items())), good=tuple(sorted(good)))
-
-
-def _grouped(names: list[str], positioners: list[str]) -> dict[str, list[str]]:
-    """Return the positioners with each name."""
-    groups: dict[str, list[str]] = {}
-    for name, positioner in zip(names, positioners, strict=True):
-        groups.setdefault(name, []).append(positioner)
-    return groups
-
-
-def _on(date: str) -> str:
-    return f" on {date}" if date else ""
