@@ -109,10 +109,9 @@ class History:
         if not (is_planned or named or (valid and valid[-1] is not generations[-1])):
             by_date = []  # the tile is dropped in the present plan
         days = {generation.number: generation.date for generation in generations}
-        if text and by_date and dict(plans)[by_date[-1]] < int(text):
-            # the plan of this generation may have been replaced on its day, and was not kept then
-            if any(first > int(text) and days.get(first) == valid[-1].date for _, first in plans):
-                by_date = []
+        later = [first for _, first in plans if text and by_date and dict(plans)[by_date[-1]] < int(text) < first]
+        if any(days.get(first) == valid[-1].date for first in later):
+            by_date = []  # the plan of this generation may have been replaced on its day, and was not kept then
         by_targets = [plan for plan, _ in plans if targets and not named and self._is_of(row, plan, targets)]
         if by_targets and not {*by_date[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
