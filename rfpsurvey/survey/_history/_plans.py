@@ -1,7 +1,7 @@
 """The plans with which tiles can have been observed, and what else is known before a table is recorded."""
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -107,10 +107,8 @@ class History:
         own = [plan for plan, first in plans if valid and first <= valid[-1].number]
         if not (is_planned or named or (valid and valid[-1] is not generations[-1])):
             own = []  # the tile is dropped in the present plan
-        if text and own and dict(plans)[own[-1]] < int(text):
-            # the plan of this generation may have been replaced on its day, and was not kept then
-            days = {generation.number: generation.date for generation in generations}
-            own = [] if any(first > int(text) and days[first] == valid[-1].date for _, first in plans) else own
+        if text and own and self._is_replaced(int(text), dict(plans).values()):
+            own = []  # the plan of this generation may be an older plan, or was not kept
         by_targets = [plan for plan, _ in plans if targets and not named and self.targets(row, plan) <= targets]
         if by_targets and not {*own[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
@@ -121,6 +119,14 @@ class History:
                 "give its digest in a column plan, or its generation"
             )
         return own[-1], valid[-1].n_files
+
+    def _is_replaced(self, number: int, introduced: Iterable[int]) -> bool:
+        """Return whether a plan was replaced on the day of its generation, before an observation was recorded."""
+        rows = {generation.number: generation for generation in self.generations}
+        if number in introduced or number + 1 not in introduced or rows[number].date != rows[number + 1].date:
+            return False
+        files = [file for file in self.events.files if file.n_applied == rows[number].n_files]
+        return not any(event.plan for file in files for event in file.tiles)
 
     @cached_property
     def _last_dates(self) -> list[str]:
