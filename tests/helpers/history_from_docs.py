@@ -142,7 +142,9 @@ class DocumentedHistory:
         return self.record("cancel", tile) if self.of(tile) or tile in self.dropped_tiles else False
 
     def drop(self, tile):
-        return False if tile in self.dropped_tiles else self.record("drop", tile)
+        if tile in self.dropped_tiles:
+            return False
+        return self.record("drop", tile) if self.state_of(tile) != "observed" else None
 
     def change(self, targets, state="", **values):
         """Record numbers of visits, priorities or the states of targets; return how many rows are not known."""
@@ -183,9 +185,7 @@ class DocumentedHistory:
                 self.dropped_tiles.pop(tile, None)
                 self.observations = {key: value for key, value in self.observations.items() if key[0] != tile}
             case (("drop" | "add_tile"), tile) if is_undone == (kind == "add_tile"):
-                is_possible = is_undone or self.state_of(tile) != "observed"
                 self.dropped_tiles[tile] = max((date for _, date in self.observations), default="")
-                return is_possible
             case "change", targets, state, stated if not is_undone or state == "added":
                 for target in targets:
                     self.stated[target] = self.stated.get(target, {}) | stated
