@@ -73,16 +73,19 @@ class DocumentedHistory:
 
     def __init__(self, visits, science):
         self.first, self.science = dict(visits), set(science)
-        self.records, self.generations, self.removed = [], [], set()
+        self.records, self.generations, self.removed, self.unclear = [], [], set(), set()
         self._replay()
 
     def plan(self, plans, day, n_records):
         """Add a generation; plans that are replaced on their day, before an observation was recorded, are removed."""
         former = self.generations[-1].plans if self.generations else {}
-        for tile in [tile for tile in plans if plans[tile] != former.get(tile, plans[tile])]:
-            first = next(one for one in self.generations if one.plans.get(tile) == former[tile])
-            is_used = any(kind == "observe" for kind, _ in self.records[first.n_records :])
-            self.removed |= {former[tile]} if first.day == day and not is_used else set()
+        changed = [tile for tile in plans if plans[tile] != former.get(tile, plans[tile])]
+        if changed and self.generations[-1].day == day:
+            is_used = any(kind == "observe" for kind, _ in self.records[self.generations[-1].n_records :])
+            for tile in [] if is_used else changed:
+                self.unclear.add((tile, len(self.generations)))
+                is_new = all(one.plans.get(tile) != former[tile] for one in self.generations[:-1])
+                self.removed |= {former[tile]} if is_new else set()
         self.removed -= {*plans.values()}
         self.generations.append(Generation(former | plans, {*plans}, day if former else "", n_records))
 
@@ -91,7 +94,8 @@ class DocumentedHistory:
         plans = [one.plans.get(tile) for one in self.generations]
         possible = [plan for plan in plans if plan and plan not in self.removed]
         if generation is not None:
-            possible = [plan for plan in self._of_generation(plans, generation) if plan in possible]
+            is_known = generation <= len(plans) and (tile, generation) not in self.unclear
+            possible = [plan for plan in plans[generation - 1 : generation] if plan in possible and is_known]
         elif digest is not None:
             possible = [plan for plan in possible if plan.digest == digest]
         is_named = generation is not None or digest is not None
@@ -108,13 +112,6 @@ class DocumentedHistory:
         if targets is not None and (plan is None or plan.targets != targets):
             plan = [plan, *(other for other in possible if other.targets == targets)][-1]
         return plan if plan in possible else None
-
-    def _of_generation(self, plans, number):
-        """Return the plan of a tile in a generation, if it is new or no other plan replaced it on this day."""
-        plan, day = next(((plans[k - 1], self.generations[k - 1].day) for k in [number] if k <= len(plans)), (None, ""))
-        later = zip(self.generations[number:], plans[number:], strict=True)
-        is_replaced = plan in plans[: number - 1] and any(one.day == day and other != plan for one, other in later)
-        return [] if is_replaced else [plan]
 
     def _last_before(self, generation):
         """Return the last date of the observations with which a plan was made, except those that were canceled."""
@@ -145,7 +142,9 @@ class DocumentedHistory:
         return self.record("cancel", tile) if self.of(tile) or tile in self.dropped_tiles else False
 
     def drop(self, tile):
-        return False if tile in self.dropped_tiles else self.record("drop", tile)
+        if tile in self.dropped_tiles:
+            return False
+        return self.record("drop", tile) if self.state_of(tile) != "observed" else None
 
     def change(self, targets, state="", **values):
         """Record numbers of visits, priorities or the states of targets; return how many rows are not known."""
@@ -186,9 +185,7 @@ class DocumentedHistory:
                 self.dropped_tiles.pop(tile, None)
                 self.observations = {key: value for key, value in self.observations.items() if key[0] != tile}
             case (("drop" | "add_tile"), tile) if is_undone == (kind == "add_tile"):
-                is_possible = is_undone or self.state_of(tile) != "observed"
                 self.dropped_tiles[tile] = max((date for _, date in self.observations), default="")
-                return is_possible
             case "change", targets, state, stated if not is_undone or state == "added":
                 for target in targets:
                     self.stated[target] = self.stated.get(target, {}) | stated

@@ -1,7 +1,7 @@
 """The plans with which tiles can have been observed, and what else is known before a table is recorded."""
 
 from bisect import bisect_right
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property
 from itertools import accumulate
 from pathlib import Path
@@ -108,10 +108,8 @@ class History:
         by_date = [plan for plan, first in plans if valid and first <= valid[-1].number]
         if not (is_planned or named or (valid and valid[-1] is not generations[-1])):
             by_date = []  # the tile is dropped in the present plan
-        days = {generation.number: generation.date for generation in generations}
-        later = [first for _, first in plans if text and by_date and dict(plans)[by_date[-1]] < int(text) < first]
-        if any(days.get(first) == valid[-1].date for first in later):
-            by_date = []  # the plan of this generation may have been replaced on its day, and was not kept then
+        if text and by_date and self._is_replaced(int(text), dict(plans).values()):
+            by_date = []  # the plan of this generation may be an older plan, or was not kept
         by_targets = [plan for plan, _ in plans if targets and not named and self._is_of(row, plan, targets)]
         if by_targets and not {*by_date[-1:]} & {*by_targets}:
             return by_targets[-1], self._n_files(dict(plans)[by_targets[-1]], date)
@@ -122,6 +120,14 @@ class History:
                 "give its digest in a column plan, or its generation"
             )
         return by_date[-1], valid[-1].n_files
+
+    def _is_replaced(self, number: int, introduced: Iterable[int]) -> bool:
+        """Return whether a plan was replaced on the day of its generation, before an observation was recorded."""
+        rows = {generation.number: generation for generation in self.generations}
+        if number in introduced or number + 1 not in introduced or rows[number].date != rows[number + 1].date:
+            return False
+        files = [file for file in self.events.files if file.n_applied == rows[number].n_files]
+        return not any(event.plan for file in files for event in file.tiles)
 
     @cached_property
     def _last_dates(self) -> list[str]:

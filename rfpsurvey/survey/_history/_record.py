@@ -140,8 +140,8 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
             raise refusal(f"the number of the record to undo must be a whole number from 1 to {n}", number, Integral)
         if number in events.undone:
             raise InputError(
-                f"record {number} must not be undone twice, got a record that record {events.undone[number]} undid; to "
-                f"restore it, undo record {events.undone[number]}"
+                f"record {number} was already undone by record {events.undone[number]}; to restore it, undo record "
+                f"{events.undone[number]}"
             )
         history, told = History(_present_survey(survey, folder), folder, events, dict), _told("", note)
         file, undoes = events.files[number - 1], int(number)

@@ -142,7 +142,7 @@ def test_undone_records_leave_no_trace_in_the_state(survey):
     for number in range(11, 6, -1):
         survey.undo(number)
     assert numbers(survey) == states[-1]
-    with pytest.raises(rs.InputError, match="record 7 must not be undone twice, got a record that record 16 undid"):
+    with pytest.raises(rs.InputError, match="record 7 was already undone by record 16; to restore it, undo record 16"):
         survey.undo(7)
 
 
