@@ -75,6 +75,8 @@ def record(
     if undo is not None:
         said = rs.Survey.read(folder).undo(undo, note=note, dry_run=dry_run)
         _print_changes(said["changes"])
+        if said["restored"]:
+            print(f"record {said['restored']} takes effect again")
         if dry_run:
             print("nothing was undone (--dry-run)")
         else:

@@ -98,7 +98,8 @@ class Living:
         Returns
         -------
         dict
-            The number of the record (``undone``), and its ``changes`` as in `record`.
+            The number of the record (``undone``), the number of the record that takes effect again because this one
+            had undone it (``restored``, 0 for none), and the ``changes`` of the record as in `record`.
 
         Raises
         ------

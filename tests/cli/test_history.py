@@ -458,6 +458,9 @@ def test_a_wrong_night_is_found_and_undone(run, call, plan, tmp_path):
     assert "nothing was undone (--dry-run)" in out
     assert "record 2 undone" in call("record", folder, "--undo", "2", "--note", "another survey")[0]
     assert [event.tile for event in rs.Survey.read(folder).state().attempts] == ["11"]
+    out, lines = call("record", folder, "--undo", "3", "--dry-run")
+    assert lines["tiles observed"] == ["2", "12,", "13"]
+    assert "record 2 takes effect again" in out
     assert "either a table or --undo must be given, got neither" in sentence(*run("record", folder)[::2])
     both = run("record", folder, tmp_path / "a.csv", "--undo", "1")
     assert "either a table or --undo must be given, got both" in sentence(*both[::2])

@@ -149,8 +149,9 @@ def undo(survey, number: int, *, note: str, dry_run: bool) -> dict:
         _check_undo(replace(events, files=(*events.files, last)), file, undoes)
         if not dry_run:
             append_events(history, [], None, None, told, undoes)
-    targets = None if file.targets is None else events.read_targets(file.targets)
-    return {"undone": undoes, "changes": _changes(list(file.tiles), targets)}
+    changed = events.files[file.undoes - 1] if file.undoes else file
+    targets = None if changed.targets is None else events.read_targets(changed.targets)
+    return {"undone": undoes, "restored": file.undoes or 0, "changes": _changes(list(changed.tiles), targets)}
 
 
 def _check_undo(events: Events, file: EventFile, undone: int) -> None:
@@ -218,8 +219,11 @@ def _told(name: str, note: str) -> dict[str, str]:
 def events_table(survey) -> QTable:
     """Return a table of all records of a survey; see `Survey.events`."""
     events = read_events(_folder_of(survey))
-    rows = []
-    plans = read_generations(events.folder)[1:]
+    plans: dict[int, list[tuple]] = {}
+    for plan in read_generations(events.folder)[1:]:
+        row = (0, plan.number, plan.date, "", "", plan.edits, "", 0, 0, 0, 0, 0, "")
+        plans.setdefault(plan.n_files, []).append(row)
+    rows = plans.get(0, [])
     for number, file in enumerate(events.files, 1):
         targets = QTable() if file.targets is None else events.read_targets(file.targets)
         stated = [event.date for event in file.tiles] + (targets["date"].tolist() if len(targets) else [])
@@ -229,8 +233,7 @@ def events_table(survey) -> QTable:
         undo = file.undoes or 0, events.undone.get(number, 0)
         dates = first if first == last else f"{first} to {last}"
         rows.append((number, 0, *told, dates, *counts, *undo, next(iter(file.others), "")))
-        for plan in (plan for plan in plans if plan.n_files == number):
-            rows.append((0, plan.number, plan.date, "", "", plan.edits, "", 0, 0, 0, 0, 0, ""))
+        rows += plans.get(number, [])
     table = QTable(rows=rows, names=list(RECORDS)) if rows else QTable({name: [] for name in RECORDS})
     return describe(table, RECORDS)
 

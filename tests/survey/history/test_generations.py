@@ -111,6 +111,13 @@ def test_a_table_names_the_generation(recorded):
     assert again.state().attempts[1].plan == sha(before)
 
 
+def test_a_plan_before_the_first_record_is_listed(survey):
+    survey.replan()
+    assert survey.events()["generation"].tolist() == [2]
+    survey.record(events(tile=11, date="2026-01-03"))
+    assert survey.events()["number"].tolist() == [0, 1]
+
+
 def test_changed_options_are_listed_with_the_records(recorded):
     rule = rs.survey.VisitRule(retries=2)
     again = rs.survey.continue_survey(recorded.folder, rule=rule)

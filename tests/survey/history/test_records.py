@@ -140,7 +140,7 @@ def test_undone_records_leave_no_trace_in_the_state(survey):
     records = survey.events()
     assert records["undone_by"].tolist() == [0, 11, 10, 9, 8, 7, 0, 0, 0, 0, 0]
     for number in range(11, 6, -1):
-        survey.undo(number)
+        assert survey.undo(number)["restored"] == 13 - number
     assert numbers(survey) == states[-1]
     with pytest.raises(rs.InputError, match="record 7 was already undone by record 16; to restore it, undo record 16"):
         survey.undo(7)
