@@ -243,14 +243,14 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     if known.dtype.kind != ids.dtype.kind:
         needed, given = ("text", "numbers") if known.dtype.kind == "U" else ("numbers", "text")
         raise InputError(f"the identifiers of targets must be {needed}, as in the catalog, got {given}")
-    n_first, parts, numbers = len(known), [known], [np.arange(len(known))]
+    parts, numbers = [known], [np.arange(len(known))]
     for n, table in events.target_tables:
         rows = np.asarray(table[ROW])
-        keep = rows >= max(n, n_first)
+        keep = rows >= max(n, len(known))
         parts.append(np.asarray(table[ID])[keep])
         numbers.append(rows[keep])
     known, number = np.concatenate(parts), np.concatenate(numbers)
-    used = np.isin(known, ids)
+    n_targets, used = len(known), np.isin(known, ids)
     known, number = known[used], number[used]
     values, times = np.unique(known, return_counts=True)
     if (times > 1).any():
@@ -261,7 +261,7 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     rows = np.full(len(ids), -1, dtype=np.int64)
     _, here, there = np.intersect1d(ids, known, return_indices=True)
     rows[here] = number[there]
-    return rows, n_first
+    return rows, n_targets
 
 
 def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np.ndarray) -> None:
