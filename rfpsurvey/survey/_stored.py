@@ -65,7 +65,9 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
     every = cards_of(job.model.options)
     # files of earlier versions do not state whether constraints are checkable, and the numbers of lost targets
     optional = {N_LOST, LOST_TO_RULES.card, ALSO_SCIENCE.card}
-    optional |= {k for k, (count, *_) in every.items() if is_unknown(count) or is_kept * isinstance(count, CountOfRule)}
+    for card, (count, *_) in every.items():
+        if is_unknown(count) or (is_kept and isinstance(count, CountOfRule)):
+            optional.add(card)
     counted = [card for card in every if card in cards or card not in optional]
     lacking = [card for card in counted if not isinstance(cards.get(card), int)]
     if lacking:
