@@ -101,8 +101,7 @@ class History:
         elif date:
             valid = self._valid_on(date)
         else:
-            is_clear = len(dict(plans)) == 1 or not any(self._last_dates)
-            valid = generations if is_clear else []
+            valid = generations if len(dict(plans)) == 1 or not any(self._last_dates) else []
         if not plans or not (is_planned or named or (valid and valid[-1] is not generations[-1])):
             raise InputError(f"tile {name} has no plan yet; plan the survey again before its observations are recorded")
         by_date = [plan for plan, first in plans if valid and first <= valid[-1].number]

@@ -212,8 +212,7 @@ def _told(name: str, note: str) -> dict[str, str]:
 def events_table(survey) -> QTable:
     """Return a table of all records of a survey; see `Survey.events`."""
     events = read_events(_folder_of(survey))
-    rows = []
-    plans = read_generations(events.folder)[1:]
+    rows, plans = [], read_generations(events.folder)[1:]
     for number, file in enumerate(events.files, 1):
         targets = QTable() if file.targets is None else events.read_targets(file.targets)
         stated = [event.date for event in file.tiles] + (targets["date"].tolist() if len(targets) else [])

@@ -225,10 +225,8 @@ def _changed(column, rows: np.ndarray, values: np.ndarray) -> np.ndarray | u.Qua
 
 def _stacked(tables: list[QTable]) -> QTable:
     """Return the rows of all tables, with missing values where a table lacks a column."""
-    columns = {}
-    for name in dict.fromkeys(
-        name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)
-    ):
+    columns, names = {}, [name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)]
+    for name in dict.fromkeys(names):
         kinds = [table[name].dtype.kind for table in tables if name in table.colnames]
         missing = MISSING.get(kinds[0] if kinds else "U" if name in TEXTS else "f", -1)
         columns[name] = np.concatenate(
