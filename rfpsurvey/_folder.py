@@ -324,8 +324,7 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     InputError
         If the two requests differ.
     """
-    different = [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]
-    if different:
+    if different := [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]:
         name = different[0]
         raise InputError(
             f"{path} holds another {work}: {', '.join(different)} {'differs' if len(different) == 1 else 'differ'} "

@@ -306,8 +306,7 @@ def parse_visits(content: bytes, path: object, tile: object) -> tuple[np.ndarray
 
 
 def _check_columns(path: Path, names: tuple, needed: tuple) -> None:
-    lacking = [name for name in needed if name not in (names or ())]
-    if lacking:
+    if lacking := [name for name in needed if name not in (names or ())]:
         raise InputError(f"{path} must have the columns of a survey, got a table without {', '.join(lacking)}")
 
 

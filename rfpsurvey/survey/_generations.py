@@ -50,7 +50,7 @@ def read_generations(folder: Path) -> list[Generation]:
         return []
     try:
         text = content_of(folder / GENERATIONS, most=MOST_FILE).decode("utf-8", "replace")
-        rows = [*csv.reader(StringIO(text))]
+        rows = csv.reader(StringIO(text))
         generations = [Generation(int(row[0]), row[1], int(row[2]), row[3]) for row in rows]
         numbers = [generation.number for generation in generations]
         is_whole = text.endswith("\n") and bool(numbers) and numbers == sorted({*numbers})

@@ -65,13 +65,13 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
     every = cards_of(job.model.options)
     # files of earlier versions do not state whether constraints are checkable, and the numbers of lost targets
     optional = {N_LOST, LOST_TO_RULES.card, ALSO_SCIENCE.card}
-    optional |= {k for k, (count, *_) in every.items() if is_unknown(count) or is_kept * isinstance(count, CountOfRule)}
+    for card, (count, *_) in every.items():
+        if is_unknown(count) or (is_kept and isinstance(count, CountOfRule)):
+            optional.add(card)
     counted = [card for card in every if card in cards or card not in optional]
-    lacking = [card for card in counted if not isinstance(cards.get(card), int)]
-    if lacking:
+    if lacking := [card for card in counted if not isinstance(cards.get(card), int)]:
         raise InputError(f"its file lacks {', '.join(lacking)}")
-    wrong = [card for card in counted if not 0 <= cards[card] < 2**53]
-    if wrong:
+    if wrong := [card for card in counted if not 0 <= cards[card] < 2**53]:
         raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")
     cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
     given = visits["target_row"] >= 0
@@ -269,7 +269,6 @@ def _check_request(survey: Survey, request: dict) -> None:
     """Raise an error if the request differs from the provenance of the survey, which has a checksum."""
     about = survey.provenance
     used = {**about["parameters"], "instrument": "{name}, digest {digest}".format_map(about["instrument"])}
-    wrong = [name for name, value in with_present_texts(used, request).items() if request.get(name) != value]
-    if wrong:
+    if wrong := [name for name, value in with_present_texts(used, request).items() if request.get(name) != value]:
         path = survey.folder / REQUEST
         raise InputError(f"{path} must be the request of {_folder.TABLES[0]}, got another {wrong[0]}")

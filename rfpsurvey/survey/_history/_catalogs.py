@@ -57,8 +57,9 @@ def is_same(catalog: Catalog | PartitionedCatalog, other: Catalog | PartitionedC
     if isinstance(catalog, PartitionedCatalog) or isinstance(other, PartitionedCatalog):
         return type(catalog) is type(other) and catalog.parts.digest() == other.parts.digest()
     places = [(sky.coord.icrs.ra.deg, sky.coord.icrs.dec.deg) for sky in (catalog, other)]
-    columns = [(getattr(sky, name) for name in ("id", "visits", *PLANNED_COLUMNS)) for sky in (catalog, other)]
-    return all(map(np.array_equal, *places)) and all(map(np.array_equal, *columns))
+    names = ("id", "visits", *PLANNED_COLUMNS)
+    is_same_column = (np.array_equal(getattr(catalog, name), getattr(other, name)) for name in names)
+    return all(map(np.array_equal, *places)) and all(is_same_column)
 
 
 def in_memory(catalog: Catalog | PartitionedCatalog, what: str) -> Catalog:

@@ -225,10 +225,8 @@ def _changed(column, rows: np.ndarray, values: np.ndarray) -> np.ndarray | u.Qua
 
 def _stacked(tables: list[QTable]) -> QTable:
     """Return the rows of all tables, with missing values where a table lacks a column."""
-    columns = {}
-    for name in dict.fromkeys(
-        name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)
-    ):
+    columns, names = {}, [name for table in tables for name in (*table.colnames, "priority", "subpriority", *TEXTS)]
+    for name in dict.fromkeys(names):
         kinds = [table[name].dtype.kind for table in tables if name in table.colnames]
         missing = MISSING.get(kinds[0] if kinds else "U" if name in TEXTS else "f", -1)
         columns[name] = np.concatenate(
@@ -243,14 +241,14 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     if known.dtype.kind != ids.dtype.kind:
         needed, given = ("text", "numbers") if known.dtype.kind == "U" else ("numbers", "text")
         raise InputError(f"the identifiers of targets must be {needed}, as in the catalog, got {given}")
-    n_first, parts, numbers = len(known), [known], [np.arange(len(known))]
+    parts, numbers = [known], [np.arange(len(known))]
     for n, table in events.target_tables:
         rows = np.asarray(table[ROW])
-        keep = rows >= max(n, n_first)
+        keep = rows >= max(n, len(known))
         parts.append(np.asarray(table[ID])[keep])
         numbers.append(rows[keep])
     known, number = np.concatenate(parts), np.concatenate(numbers)
-    used = np.isin(known, ids)
+    n_targets, used = len(known), np.isin(known, ids)
     known, number = known[used], number[used]
     values, times = np.unique(known, return_counts=True)
     if (times > 1).any():
@@ -261,7 +259,7 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
     rows = np.full(len(ids), -1, dtype=np.int64)
     _, here, there = np.intersect1d(ids, known, return_indices=True)
     rows[here] = number[there]
-    return rows, n_first
+    return rows, n_targets
 
 
 def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np.ndarray) -> None:
