@@ -170,7 +170,7 @@ wavelength = { BOSS = 0.54, APOGEE = "1.6 um" }
     assert values["catalog.path"] == str(tmp_path / "stars.fits")
     assert values["instrument.name"] == "moons"
     for folder in (tmp_path, tmp_path / "sub"):
-        written = _plan_file.to_toml(SURVEY, values, folder, title="a title", documented=True)
+        written = _plan_file.Given("survey", SURVEY, values).to_toml(folder, documented=True)
         again = values_of(written, folder=folder)
         again = {name: str(v).replace("sub/../", "") for name, v in again.items()}
         assert again == {name: str(v) for name, v in values.items()}
