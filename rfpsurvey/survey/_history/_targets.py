@@ -165,7 +165,7 @@ def _further(column, name: str, kind: str, unit: str | None) -> np.ndarray:
     if kind == "U":
         return np.char.strip(np.where(missing, "", np.asarray(to_plain(column, name)).astype(str)))
     if kind == "b":
-        return np.where(missing, -1, to_flags(column, name)).astype(np.int16)
+        return flag_codes(column, name)
     if kind in "iu" and np.asarray(column).dtype.kind in "iu":
         return np.where(missing, -1, np.asarray(column).astype(np.int64))
     values = to_numbers(getattr(column, "value", column) if unit is None else column, name, unit and u.Unit(unit))

@@ -60,6 +60,22 @@ def test_further_columns_of_known_targets_change(extended):
     assert extra["flag"][3:6].tolist() == [True, False, False]
 
 
+def test_missing_truth_values_of_a_column_of_numbers_change_nothing(extended):
+    """Regression: NaN was recorded as false."""
+    sky, _, survey = extended
+    before = survey.state(sky).catalog.extra["flag"].tolist()
+    survey.record(events(target=sky.id[:3].tolist(), flag=[np.nan, 1.0, 0.0]))
+    assert survey.state(sky).catalog.extra["flag"].tolist() == [before[0], True, False, *before[3:]]
+
+
+def test_targets_of_two_tables_are_added_one_after_the_other(case, survey):
+    for number in (5000, 5001):
+        survey.record(events(target=number, state="added", ra=120.1, dec=30.0, priority=2, visits=number - 4999))
+    state = survey.state(case[0])
+    assert state.catalog.id[-2:].tolist() == [5000, 5001]
+    assert state.left[-2:].tolist() == [1, 2]
+
+
 def test_columns_that_are_not_recorded_are_named(extended):
     sky, _, survey = extended
     with pytest.raises(rs.InputError, match="must have the column g, which a rule of the survey uses, got target"):
