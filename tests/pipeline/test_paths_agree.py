@@ -5,6 +5,7 @@ and by selection probabilities of one realization. In random scenes, a survey pl
 reference, `plan_tile` plans one of them after the other.
 """
 
+import os
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -296,7 +297,7 @@ def test_added_sky_positions_of_a_tile_avoid_targets_without_requested_visits():
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("seed", range(20))
+@pytest.mark.parametrize("seed", range(int(os.environ.get("RFPSURVEY_SCENES", 5))))
 @pytest.mark.parametrize("allocator", sorted([*ALLOCATORS, "joint"], reverse=True))
 def test_the_same_targets_are_observed_in_random_surveys(allocator, seed, monkeypatch, tmp_path):
     *given, options = scene = make_random_scene(seed)

@@ -1,6 +1,7 @@
 """Random histories of a survey have the states that the page on histories describes."""
 
 import hashlib
+import os
 from contextlib import nullcontext
 from dataclasses import replace
 from io import BytesIO
@@ -217,6 +218,6 @@ class Driver:
 
 @pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
 @pytest.mark.few(3)
-@pytest.mark.parametrize("seed", range(300))
+@pytest.mark.parametrize("seed", range(int(os.environ.get("RFPSURVEY_HISTORIES", 30))))
 def test_random_histories_have_the_documented_states(seed, tmp_path, monkeypatch):
     Driver(seed, tmp_path / "survey", monkeypatch).run(15)
