@@ -62,14 +62,17 @@ FILES = {
     "dates of plans": "events/plans.csv",
     "checkpoint": "events/state.npz",
 }
-UNUSED = ("events/plans.csv", "events/state.npz")
+UNUSED = ("events/plans.csv", "events/generations.csv", "events/records.txt", "events/state.npz")
 """Files that do not determine the plan, and that are not written if the survey is planned already."""
 OTHERS = ("notes.txt", "tiles/000/000700.fits", "events/000009-0.fits")
 
 
 def path_of(folder: Path, name: str) -> Path:
-    used = [f"{plan}.fits" for _, plan in read_events(folder).plans]
-    (path,) = (path for path in folder.glob(FILES.get(name, name)) if name != "kept plan" or path.name in used)
+    paths = [*folder.glob(FILES.get(name, name))]
+    if name == "kept plan":  # that of an observation
+        used = [f"{plan}.fits" for _, plan in read_events(folder).plans]
+        paths = [path for path in paths if path.name in used]
+    (path,) = paths
     return path
 
 
@@ -296,7 +299,7 @@ DAMAGES = {
     "first event: edited": event("first event", digest=False, date="2026-01-02"),
     "first event: edited with its digest": event("first event", date="2026-01-02"),
     "last event: edited with its digest": event("last event", n_targets=59),
-    "middle event: other version": event("middle event", version=2),
+    "middle event: other version": event("middle event", version=3),
     "middle event: other targets": event("middle event", targets="../../x.fits"),
     "first event: tiles are a number": event("first event", tiles=5),
     "request: a list": on("request", lambda path: path.write_text("[]")),
@@ -341,8 +344,12 @@ def read_state(folder: Path) -> list:
 
 
 def plan_again(folder: Path) -> list:
-    survey = replan(folder)
-    return [survey.summary, {name: body for name, body in content(folder).items() if name not in (*UNUSED, *OTHERS)}]
+    survey, rows = replan(folder), FILES["rows of a table"]
+    files = {name: body for name, body in content(folder).items() if name not in (*UNUSED, *OTHERS)}
+    files = {name: body for name, body in files.items() if not Path(name).match(rows)}
+    request = json.loads(files.pop("survey.json"))
+    del request["generation"]  # a request with another value causes a new generation with the same plans
+    return [survey.summary, request, files]
 
 
 def plan_together_again(folder: Path) -> list:
