@@ -7,7 +7,6 @@ from pathlib import Path
 from types import SimpleNamespace
 
 import rfpsurvey as rs
-from rfpsurvey import inputs
 from rfpsurvey._cli._print import PICTURES, print_text
 from rfpsurvey._io import check_fits_text, is_fits, read_table
 from rfpsurvey._outputs import WRITABLE, check_output, check_separate
@@ -15,11 +14,15 @@ from rfpsurvey._readers import is_csv
 from rfpsurvey._units import to_center
 from rfpsurvey.catalog import UNITS, as_catalog, select_rows
 from rfpsurvey.errors import check_choice, used_elsewhere
+from rfpsurvey.inputs import model_of as model_from_keys
+from rfpsurvey.inputs import read_catalog as catalog_from_keys
+from rfpsurvey.inputs import warn_without_catalog
 from rfpsurvey.instrument import as_instrument
 from rfpsurvey.plans import is_plan, native_format, read_plan
 from rfpsurvey.survey import DEFAULT_CENTER, VisitRule, allocator_of
 
-model_of, read_catalog = (partial(one, tell=print_text) for one in (inputs.model_of, inputs.read_catalog))
+model_of = partial(model_from_keys, tell=print_text)
+read_catalog = partial(catalog_from_keys, tell=print_text)
 
 
 def parse_center(text: str | None):
@@ -70,7 +73,7 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
     """Read a catalog, or generate one if no path is given; return the catalog and the field center (or None)."""
     field = parse_center(center)
     if keys.path is None:
-        inputs.warn_without_catalog(keys)
+        warn_without_catalog(keys)
         field = parse_center(DEFAULT_CENTER) if field is None else field
         return rs.synthetic_catalog("poisson", field, model.field_radius, density=model.target_density, rng=seed), field
     return as_catalog(read_catalog(keys)), field

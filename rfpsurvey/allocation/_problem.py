@@ -3,11 +3,11 @@
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
-from rfpsurvey import allocation  # its names are used later, because the options import the allocators
 from rfpsurvey._units import locked
 from rfpsurvey.allocation._answer import AllocationAnswer, Objectives
 from rfpsurvey.allocation._clock import now
@@ -16,6 +16,15 @@ from rfpsurvey.allocation._motion import Motion
 from rfpsurvey.constraints import CountedTargets, Distribution, Group, Requirement, Shortfall, hint_of_name
 from rfpsurvey.errors import InputError
 from rfpsurvey.focal_plane import FocalPlane, Reach
+
+if TYPE_CHECKING:
+    from rfpsurvey.allocation._options import AllocationOptions
+
+
+def _default_options() -> "AllocationOptions":
+    from rfpsurvey.allocation._options import AllocationOptions  # the options import the allocators, which import this
+
+    return AllocationOptions()
 
 
 def _no_start() -> AllocationAnswer:
@@ -99,7 +108,7 @@ class AllocationProblem(CountedTargets):
     category: np.ndarray | None = None
     fiber_type: np.ndarray | None = None
     is_required: np.ndarray | None = None
-    options: "allocation.AllocationOptions" = field(default_factory=lambda: allocation.AllocationOptions())
+    options: "AllocationOptions" = field(default_factory=_default_options)
     rng: np.random.Generator | None = None
     start: Callable[[], AllocationAnswer] = field(default_factory=lambda: _no_start)
     watched: np.ndarray | None = None

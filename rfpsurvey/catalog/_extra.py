@@ -17,7 +17,7 @@ from rfpsurvey.errors import InputError, InputTypeError, listed, short, warn
 RESERVED = frozenset({"tile", *TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS_COLUMNS})
 """Names of the columns that results always contain."""
 MOST_EXACT = 2**53
-KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
+COLUMN_KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
 def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
@@ -80,12 +80,12 @@ def _plain(column, name):
     values = values.astype(values.dtype.newbyteorder("="), copy=False)
     if values.dtype.kind == "O":
         values, missing = _of_objects(values, missing, name)
-    if values.ndim != 1 or values.dtype.kind not in KINDS:
+    if values.ndim != 1 or values.dtype.kind not in COLUMN_KINDS:
         raise InputError(
             f"column {name!r} in keep must contain one number, text or boolean per target, got the type "
             f"{values.dtype} and the shape {values.shape}"
         )
-    kind = KINDS[values.dtype.kind]
+    kind = COLUMN_KINDS[values.dtype.kind]
     if kind == "U":
         values = np.char.strip(np.where(missing, "", to_plain(values, f"column {name!r} in keep")))
         check_text(values, f"column {name!r} in keep")

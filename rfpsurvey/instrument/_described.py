@@ -12,11 +12,11 @@ from rfpsurvey._units import to_scalar
 from rfpsurvey.errors import InputError, check_choice, short
 from rfpsurvey.focal_plane import Margins
 from rfpsurvey.instrument._entries import CAMERAS, select_entries, value_of
-from rfpsurvey.instrument._entries import RULES as SECTION
+from rfpsurvey.instrument._entries import RULES as RULES_SECTION
 from rfpsurvey.observing import ObservedField, ObservedPlane, ObservingConditions
 from rfpsurvey.projection import FieldProjection, TangentPlane, field_basis
 
-MARGINS, RULES = "margins.", f"{SECTION}."
+MARGINS, RULES = "margins.", f"{RULES_SECTION}."
 """Beginnings of the names of entries on which a result depends only if the margins or the rules are used."""
 
 

@@ -12,7 +12,7 @@ from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS, by_name, stacke
 from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, OUTLINE, light_scale
 from rfpsurvey.survey import Survey
 
-MOST_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
+MOST_CLASS_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
 """Largest numbers of bars for classes, of bars for categories, and of passes with separate colors."""
 MOST_DOTS = 3000
 KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
@@ -33,7 +33,7 @@ def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
 
 def class_rows(survey: Survey) -> QTable:
     """Return the rows of the completeness table that are drawn as bars, with the completeness after the last pass."""
-    return _after(survey, -1)[:MOST_ROWS]
+    return _after(survey, -1)[:MOST_CLASS_ROWS]
 
 
 def _after(survey, k) -> QTable:
@@ -59,7 +59,7 @@ def _draw_visits(ax, survey, kwargs):
     colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
     pieces, before = [], np.zeros(len(rows))
     for k, (end, color) in enumerate(zip(ends, colors, strict=True)):
-        after = np.asarray(_after(survey, end)["n_observed"][:MOST_ROWS], float)
+        after = np.asarray(_after(survey, end)["n_observed"][:MOST_CLASS_ROWS], float)
         several = k > 0 and end > ends[k - 1] + 1
         words = f"in passes {passes[ends[k - 1] + 1]} to {passes[end]}" if several else f"in pass {passes[end]}"
         words = "observed" if len(ends) == 1 else words
@@ -116,7 +116,7 @@ def _draw_fibers(ax, survey):
     rest = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)
     look = {"color": FADED, "alpha": 0.5, "label": f"without a target: {rest.sum():.0f}"}
     handles.append(ax.bar(np.arange(len(passes)), rest, 0.75, bottom, **look))
-    step = -(-len(passes) // MOST_ROWS)
+    step = -(-len(passes) // MOST_CLASS_ROWS)
     ax.set_xticks(np.arange(len(passes))[::step], [str(p) for p in passes[::step]], fontsize="small")
     around = 0.6 + max(4 - len(passes), 0) / 2
     ax.set(xlim=(-around, len(passes) - 1 + around), xlabel="pass", ylabel="fibers, all tiles of the pass")
