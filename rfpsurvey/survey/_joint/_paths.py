@@ -63,10 +63,10 @@ class Paths:
         for depth in DEPTHS:
             for level in range(network.n_classes):
                 mine = np.flatnonzero(network.rank_of_target == level)
-                for replace in (False, True) if level + 1 < network.n_classes else (False,):
+                for replaces in (False, True) if level + 1 < network.n_classes else (False,):
                     gained, number = 1, 0
                     while gained and number < PASSES and not is_over():
                         order = rng.permutation(mine[left[mine] > 0])
-                        gained = kernels.find_paths(order, level, replace, depth, self.links, chosen, load, left)
+                        gained = kernels.find_paths(order, level, replaces, depth, self.links, chosen, load, left)
                         number += 1
         return chosen
