@@ -72,39 +72,39 @@ class Fact:
 
 def facts_of(facts: Iterable[Fact], summary: Mapping) -> dict[str, object]:
     """Return the labels and values that are shown of a summary; the labels of details begin with spaces."""
-    found = {}
+    labeled = {}
 
     def add(of: str, indent: str) -> None:
         for fact in (fact for fact in facts if fact.of == of):
             value = fact.shown(summary) if fact.shown else summary.get(fact.name)
             if isinstance(value, dict):  # the function has selected what is shown
-                found.update({indent + label: number for label, number in value.items()})
+                labeled.update({indent + label: number for label, number in value.items()})
             elif value or (fact.zero and value is not None):
-                found[indent + fact.label] = value
+                labeled[indent + fact.label] = value
             add(fact.name, f"{indent}  ")
 
     add("", "")
-    return found
+    return labeled
 
 
 def make_table(columns: Mapping[str, Column], data: object) -> QTable:
     """Return a table of all columns for which ``data`` has values, and of the further columns ``data.columns``."""
-    values = {name: one.value(data) for name, one in columns.items() if one.value}
-    values = {name: with_unit(one, columns[name].unit) for name, one in values.items() if one is not None}
+    values = {name: column.value(data) for name, column in columns.items() if column.value}
+    values = {name: with_unit(value, columns[name].unit) for name, value in values.items() if value is not None}
     return describe(QTable(values | data.columns), columns, COPIED)
 
 
-def describe(table: QTable, columns: Mapping[str, Column], others: str = "") -> QTable:
-    """Set the descriptions of the columns of a table, and return the table; other columns have the text ``others``."""
+def describe(table: QTable, columns: Mapping[str, Column], default: str = "") -> QTable:
+    """Set the descriptions of the columns of a table, and return the table; other columns have the text ``default``."""
     for name in table.colnames:
-        if text := text_of(columns, name, others):
+        if text := text_of(columns, name, default):
             table[name].info.description = text
     return table
 
 
-def text_of(columns: Mapping[str, Column], name: str, others: str = "") -> str:
+def text_of(columns: Mapping[str, Column], name: str, default: str = "") -> str:
     """Return the description of a column."""
-    return columns[name].text if name in columns else others
+    return columns[name].text if name in columns else default
 
 
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:

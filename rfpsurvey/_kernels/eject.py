@@ -94,7 +94,7 @@ def new_move(n_classes: int) -> Move:
 @inner_kernel
 def step(i, c, options, goals, plan, move):
     """Assign candidate c to positioner i (none if c = -1), and update the plan and the changes of the move."""
-    indptr, other, target, rank = options.indptr, options.other, options.target, options.rank
+    indptr, excluded, target, rank = options.indptr, options.other, options.target, options.rank
     holder, blocked, count, sums, net = plan.holder, plan.blocked, plan.count, move.sums, move.net
     old, n = plan.chosen[i], move.n[0]
     move.own[n], move.before[n] = i, old
@@ -109,7 +109,7 @@ def step(i, c, options, goals, plan, move):
         if d < 0:
             continue
         for k in range(indptr[d], indptr[d + 1]):
-            blocked[other[k]] += sign
+            blocked[excluded[k]] += sign
         for k in range(goals.indptr[d], goals.indptr[d + 1]):
             g = goals.group[k]
             low = min(count[g], count[g] + sign)
@@ -195,13 +195,13 @@ def filled(c, now, goals, count):
     n = REQUIRED * goals.required[c]
     for k in range(goals.indptr[c], goals.indptr[c + 1]):
         g = goals.group[k]
-        others = count[g]
+        n_after = count[g]
         if now >= 0:
             for m in range(goals.indptr[now], goals.indptr[now + 1]):
-                others -= goals.group[m] == g
-        if others >= goals.most[g]:
+                n_after -= goals.group[m] == g
+        if n_after >= goals.most[g]:
             return NONE
-        n += others < goals.least[g]
+        n += n_after < goals.least[g]
     return n
 
 
@@ -265,14 +265,14 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
     move.
     """
     chosen, blocked, holder, before, blockers = plan.chosen, plan.blocked, plan.holder, move.before, move.blockers
-    rank, target, indptr, other, worth = options.rank, options.target, options.indptr, options.other, goals.worth
+    rank, target, indptr, excluded, worth = options.rank, options.target, options.indptr, options.other, goals.worth
     m, t = 0, target[c]
     if t >= 0 and holder[t] >= 0 and holder[t] != i:
         blockers[0] = holder[t]
         m = 1
     for k in range(indptr[c], indptr[c + 1]):
-        j = options.own[other[k]]
-        if chosen[j] != other[k] or (m > 0 and j == blockers[0]):
+        j = options.own[excluded[k]]
+        if chosen[j] != excluded[k] or (m > 0 and j == blockers[0]):
             continue
         if m == MOST_BLOCKERS:
             return -1.0
@@ -301,7 +301,7 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
             n_both += options.t_indptr[t + 1] - options.t_indptr[t]
         for p in range(n_both):
             freed = p - n_places  # the target of the candidate
-            d = other[indptr[old] + p] if freed < 0 else options.t_candidate[options.t_indptr[t] + freed]
+            d = excluded[indptr[old] + p] if freed < 0 else options.t_candidate[options.t_indptr[t] + freed]
             j = options.own[d]
             now = chosen[j]
             if blocked[d] > 0 or target[d] < 0 or holder[target[d]] >= 0 or rank[d] > rank[now] or fixed[j]:

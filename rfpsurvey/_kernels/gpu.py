@@ -99,7 +99,7 @@ def count(
 
 
 @cuda.jit
-def list_pairs(segments, first, second, reject2, limit, found, squared, n):
+def list_pairs(segments, first, second, reject2, limit, kept, squared, n):
     """List the index k of each pair (``first[k]``, ``second[k]``) whose squared distance is below ``limit``."""
     k = cuda.grid(1)
     if k >= first.size:
@@ -110,4 +110,4 @@ def list_pairs(segments, first, second, reject2, limit, found, squared, n):
     d2 = near_squared(ax, ay, bx, by, px, py, qx, qy, reject2)
     if d2 < limit:
         row = cuda.atomic.add(n, 0, 1)
-        found[row], squared[row] = k, d2
+        kept[row], squared[row] = k, d2

@@ -80,9 +80,9 @@ def sectors_apart(moves, a, b, x, y, limit):
     """Return whether the sectors that two arms sweep are farther apart than ``limit`` along the direction (x, y)."""
     inverse = 1.0 / math.sqrt(x * x + y * y)
     ux, uy, v = x * inverse, y * inverse, moves.sector
-    one = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
-    two = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
-    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - one - two > limit
+    extent_a = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
+    extent_b = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
+    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - extent_a - extent_b > limit
 
 
 @kernel
@@ -206,8 +206,8 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
 
     Both arms take the same time or, if ``same_speed`` is true, begin to unfold at the same time with the same speed.
     """
-    one, reach = (moves.x[a], moves.y[a]), moves.reach[a]
-    two = (moves.x[b], moves.y[b])
+    at_a, reach = (moves.x[a], moves.y[a]), moves.reach[a]
+    at_b = (moves.x[b], moves.y[b])
     a_angle, a_turn, a_inner, a_length = moves.angle[a], moves.turn[a], moves.inner[a], moves.length[a]
     b_angle, b_turn, b_inner, b_length = moves.angle[b], moves.turn[b], moves.inner[b], moves.length[b]
     if same_speed and a_turn != 0.0 and b_turn != 0.0:
@@ -215,12 +215,12 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
         a_first = math.copysign(max(abs(a_turn) - abs(b_turn), 0.0), a_turn)
         b_first = math.copysign(max(abs(b_turn) - abs(a_turn), 0.0), b_turn)
         if arms_meet(
-            *one, a_angle, a_first, a_inner, a_length, *two, b_angle, b_first, b_inner, b_length, reach, limits, i, j
+            *at_a, a_angle, a_first, a_inner, a_length, *at_b, b_angle, b_first, b_inner, b_length, reach, limits, i, j
         ):
             return True
         a_angle, a_turn, b_angle, b_turn = a_angle + a_first, a_turn - a_first, b_angle + b_first, b_turn - b_first
     return arms_meet(
-        *one, a_angle, a_turn, a_inner, a_length, *two, b_angle, b_turn, b_inner, b_length, reach, limits, i, j
+        *at_a, a_angle, a_turn, a_inner, a_length, *at_b, b_angle, b_turn, b_inner, b_length, reach, limits, i, j
     )
 
 

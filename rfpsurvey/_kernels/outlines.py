@@ -201,8 +201,8 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
                         p0, p1, q0, q1 = int(v[START, p]), int(v[START, p + 1]), int(v[START, q]), int(v[START, q + 1])
                         apart = separation_along_normals(v, p0, p1, q0, q1, tx, ty, cosine, sine, enough)
                         if apart <= enough:
-                            other = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
-                            apart = max(apart, other)
+                            apart_q = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
+                            apart = max(apart, apart_q)
                         if apart < -slack and p1 - p0 + q1 - q0 > 2:
                             gap = min(gap, apart - radii)
                         elif apart <= enough:
@@ -222,14 +222,14 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
     cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
-    dx, dy, other = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
+    dx, dy, inverse_j = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
     ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
     ax, ay = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_)
     bx, by = bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
     x, y, other_wide, other_high = outline.central_box
-    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
+    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * inverse_j, (by0 - dy) * inverse_j
     px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
     qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
     loose = limit + LOOSE * outline.scale
@@ -279,10 +279,10 @@ def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
     gap = math.inf
     for part in range(start.size - 1):
         if part < outline.n_eccentric:
-            own = frame(x0, y0, x1, y1)
+            arm_frame = frame(x0, y0, x1, y1)
         else:
-            own = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
-        tx, ty, c, s, _ = frames_apart(own, (0.0, 0.0, 1.0, 0.0))
+            arm_frame = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
+        tx, ty, c, s, _ = frames_apart(arm_frame, (0.0, 0.0, 1.0, 0.0))
         bx, by = -(c * tx + s * ty), s * tx - c * ty
         p, p_end = start[part], start[part + 1]
         apart = max(

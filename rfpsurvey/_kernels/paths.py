@@ -123,8 +123,8 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
                     left[old] += 1
                 return True
             k = links.t_indptr[t]
-        found = False
-        while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not found:
+        has_path = False
+        while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not has_path:
             c = links.t_candidate[k]
             k += 1
             old = chosen[links.own[c]]
@@ -132,12 +132,12 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
             if h < 0 or h == t or seen[h] or (replace and links.rank[old] > level):
                 continue
             if is_free(c, links, chosen, load):
-                seen[h] = found = True
+                seen[h] = has_path = True
                 swap(c, links, chosen, load)
                 stack[depth, 1] = k
                 depth += 1
                 stack[depth] = h, -1, old
-        if not found:
+        if not has_path:
             if depth > 0:
                 swap(stack[depth, 2], links, chosen, load)
             depth -= 1

@@ -138,7 +138,7 @@ def expect(pairs, geometry, setup, entries, expected):
         for b in range(b0, b1):
             near[n], mid_x[n], mid_y[n], back[n] = b, halves[0, b], halves[1, b], ahead[b]
             n += (ahead[b] - foremost <= touching) & (weight[b] > 0.0)
-        a, found = a0, False
+        a, any_collides = a0, False
         while a < a1:
             m = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
             while a < a1 and m < BATCH:
@@ -153,15 +153,15 @@ def expect(pairs, geometry, setup, entries, expected):
                         m += marks[k]
                 a += 1
             for k in range(keep_near(halves, m, touching**2, first, second)):
-                own, other = first[k], second[k]
+                a_row, b_row = first[k], second[k]
                 if outlined:
-                    collides = outlined_squared(segments, own, other, limits, i, j) < limit
+                    collides = outlined_squared(segments, a_row, b_row, limits, i, j) < limit
                 else:
-                    collides = pair_squared(segments, own, other) < limit
-                hit[own] += weight[other] * collides
-                hit[other] += weight[own] * collides
-                found |= collides
-        if not found:
+                    collides = pair_squared(segments, a_row, b_row) < limit
+                hit[a_row] += weight[b_row] * collides
+                hit[b_row] += weight[a_row] * collides
+                any_collides |= collides
+        if not any_collides:
             continue
         chance = 0.0
         for a in range(a0, a1):

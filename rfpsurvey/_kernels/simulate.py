@@ -100,8 +100,8 @@ def realize(rng, number, sky, positioners, realization):
     """Draw random targets, and add each target to the queue of a positioner with `balanced`."""
     x, y = realization.x[:number], realization.y[:number]
     if sky.separation > 0.0:
-        found = scatter_apart(rng, sky, realization.cells, x, y)
-        x[found:], y[found:] = np.nan, np.nan
+        n_placed = scatter_apart(rng, sky, realization.cells, x, y)
+        x[n_placed:], y[n_placed:] = np.nan, np.nan
     else:
         scatter(rng, sky, x, y)
     indptr, owner, r2 = realization.indptr[: number + 1], realization.owner, realization.r2
@@ -162,12 +162,12 @@ def sum_realization(indptr, pairs, geometry, setup, entries, expected, sums):
     for i in range(probability.size):
         assigned = indptr[i + 1] > indptr[i]
         counts_too = assigned | setup.parked[i]
-        own = probability[i] if counts_too else 0.0
-        sums[0] += own
+        p_collision = probability[i] if counts_too else 0.0
+        sums[0] += p_collision
         sums[1] += counts_too
-        sums[2] += own if assigned else 0.0
+        sums[2] += p_collision if assigned else 0.0
         sums[3] += assigned
-        expected.times[i] += own
+        expected.times[i] += p_collision
         expected.counted[i] += counts_too
 
 

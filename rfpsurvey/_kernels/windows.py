@@ -123,14 +123,14 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
                     break
                 if (n > 1 and k == i) or cost[p + k] == np.inf or dates.brightness[dates.p_tile[p + k]] > limit:
                     continue
-                own = cost[p + i] + (cost[p + k] if k > i else 0.0)
+                visits_cost = cost[p + i] + (cost[p + k] if k > i else 0.0)
                 if n > 2:
-                    own += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
-                found = before + gain - own
-                value[e, i, k], back[e, i, k] = found, where
-                any_found |= found > -np.inf
-                if found > best:
-                    best, at_e, at_i, at_k = found, e, i, k
+                    visits_cost += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
+                total = before + gain - visits_cost
+                value[e, i, k], back[e, i, k] = total, where
+                any_found |= total > -np.inf
+                if total > best:
+                    best, at_e, at_i, at_k = total, e, i, k
         if not any_found:
             break
     picked[:m] = False
@@ -168,14 +168,14 @@ def remove(t, links, dates, chosen, load, used, done, journal, places):
 
 
 @kernel
-def insert(t, turn, links, dates, chosen, load, used, done, cost, found, work, picked, journal, places):
+def insert(t, turn, links, dates, chosen, load, used, done, cost, candidate, work, picked, journal, places):
     """Add the best sequence of target t, which has no visits, on positioners without targets.
 
     The number ``turn`` determines the candidate of each place that is tried first.
     """
     first, last = dates.p_indptr[t], dates.p_indptr[t + 1]
     for p in range(first, last):
-        cost[p], found[p] = np.inf, -1
+        cost[p], candidate[p] = np.inf, -1
         begin, size = dates.c_indptr[p], dates.c_indptr[p + 1] - dates.c_indptr[p]
         for k in range(size):
             c = dates.candidate[begin + (turn + k) % size]
@@ -183,14 +183,14 @@ def insert(t, turn, links, dates, chosen, load, used, done, cost, found, work, p
                 continue
             if links.target[chosen[links.own[c]]] < 0 and is_free(c, links, chosen, load):
                 # sequences of equal value are tried in turn
-                cost[p], found[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
+                cost[p], candidate[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
                 break
     _, visits, whole = best_sequence(t, cost, 1.0, 1000.0, dates, work, picked)
     for p in range(first, last):
         if picked[p - first]:
-            change(found[p], links, chosen, load, journal)
+            change(candidate[p], links, chosen, load, journal)
             places.append((p, -1))
-            used[p] = found[p]
+            used[p] = candidate[p]
     done[t, 0], done[t, 1] = int(whole), visits
 
 
@@ -205,9 +205,9 @@ def blockers(t, n, links, dates, chosen, load, out):
                 clique = links.clique[r]
                 if load[clique] > 0:
                     for q in range(dates.k_indptr[clique], dates.k_indptr[clique + 1]):
-                        other = dates.member[q]
-                        if chosen[links.own[other]] == other:
-                            n = add(links.target[other], t, n, out)
+                        rival = dates.member[q]
+                        if chosen[links.own[rival]] == rival:
+                            n = add(links.target[rival], t, n, out)
     return n
 
 
@@ -235,7 +235,7 @@ def keeps_limits(links, chosen, load, journal):
 
 
 @kernel
-def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work, picked, gain):
+def move(order, rolls, links, dates, chosen, load, used, done, cost, candidate, work, picked, gain):
     """Try to complete the targets in ``order``: remove targets that prevent this, and add all of them again.
 
     A move is undone if the numbers of complete cadences and of visits are smaller than before, class by class.
@@ -254,8 +254,8 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
                     break
         number = min(n, int(roll[0] % MOST_REMOVED) + 1)
         for k in range(number):  # the first elements become a random selection
-            other = k + int(roll[k + 3] % (n - k))
-            out[k], out[other] = out[other], out[k]
+            swapped = k + int(roll[k + 3] % (n - k))
+            out[k], out[swapped] = out[swapped], out[k]
         journal = [np.int64(0) for _ in range(0)]
         places = [(np.int64(0), np.int64(0)) for _ in range(0)]
         old = done[t].copy()
@@ -271,7 +271,7 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
         for k in range(-1, number):
             h = t if k < 0 else out[k]
             turn = roll[k + 4]
-            insert(h, turn, links, dates, chosen, load, used, done, cost, found, work, picked, journal, places)
+            insert(h, turn, links, dates, chosen, load, used, done, cost, candidate, work, picked, journal, places)
             gain[ranks[h], 0] += done[h, 0]
             gain[ranks[h], 1] += done[h, 1]
         is_worse = False

@@ -116,13 +116,13 @@ def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest,
         largest = -1
         for k in range(list_runs(key, n_zones, center, radius, runs)):
             for i in range(runs[k, 0], runs[k, 1]):
-                other = order[i]
-                if other >= row or (smallest and group[other] != group[row]):
+                neighbor = order[i]
+                if neighbor >= row or (smallest and group[neighbor] != group[row]):
                     continue
                 a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
                 if 0.25 * (a * a + b * b + c * c) <= limit:
-                    taken[number[other]] = row
-                    largest = max(largest, number[other])
+                    taken[number[neighbor]] = row
+                    largest = max(largest, number[neighbor])
         number[row] = largest + 1
         if smallest:
             number[row] = 0

@@ -74,8 +74,8 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     inner = np.bincount(low[~cross], weights=prices.price[~cross], minlength=len(ends))
     for k in range(len(ends) - 1):
         rows = order[ends[k] : ends[k + 1]]
-        own = np.unique(options.own[rows])
-        start = np.searchsorted(options.own[rows], np.append(own, n))
+        owners = np.unique(options.own[rows])
+        start = np.searchsorted(options.own[rows], np.append(owners, n))
         fallback = float(inner[k]) + float(kernels.bound_of(start, reduced[rows], np.zeros(0)))
         bound, x = _solve_cluster(by_column, rows, start, value[rows], deadline)
         total += min(bound, fallback)
@@ -167,23 +167,23 @@ def improve_members(
 
 def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=None):
     """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
-    options, before, found = candidates.options, now[members].copy(), None
+    options, before, solution = candidates.options, now[members].copy(), None
     limit = share(deadline, FOR_ONE)
     try:
         program = program_of(candidates, members, now, blocked, holder, limit)
         part = None if upper is None else upper_of_part(candidates, now, upper)[0]
-        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
+        solution = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
     except OutOfTimeError:
         pass
     better = False
     after = before
-    if found is not None and found.chosen is not None and len(found.chosen) == len(members):
+    if solution is not None and solution.chosen is not None and len(solution.chosen) == len(members):
         x = program.variables(before)
-        better = not program.holds(x) or tuple(found.values) > tuple(program.reaches(x))
-        after = found.chosen
+        better = not program.holds(x) or tuple(solution.values) > tuple(program.reaches(x))
+        after = solution.chosen
     for c in after:
         moves.put(options.own[c], c, options, now, blocked, holder)
-    return better, found is not None and bool((found.values >= found.bounds).all())
+    return better, solution is not None and bool((solution.values >= solution.bounds).all())
 
 
 def upper_of_part(candidates: Candidates, now: np.ndarray, upper: Callable) -> tuple[Callable, np.ndarray]:
@@ -210,8 +210,8 @@ def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder
     rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
     target = options.target[rows]
     rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
-    others = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
-    return Program(candidates, rows, others, edges_within(options, rows), deadline)
+    outside = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
+    return Program(candidates, rows, outside, edges_within(options, rows), deadline)
 
 
 def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:

@@ -71,31 +71,31 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
         most = group.requirement.maximum
         if most is None:
             continue
-        own = np.flatnonzero(target_of >= 0)
-        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]), own)]
+        owner = np.flatnonzero(target_of >= 0)
+        owner = owner[group.holds(target_of[owner], problem.spectrograph_of(owner, target_of[owner]), owner)]
         # The sky positions that stuck fibers observe cannot be removed.
-        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
-        extra = own[most:]
+        owner = owner[np.lexsort((problem.rank_of(target_of[owner]), problem.focal_plane.arrays.usable[owner]))]
+        extra = owner[most:]
         target_of[extra[problem.focal_plane.arrays.usable[extra]]] = -1
     return target_of
 
 
 def repair_nearby(
-    everything: Candidates, chosen: np.ndarray, *, steady: bool = False, **limits: float
+    candidates: Candidates, chosen: np.ndarray, *, steady: bool = False, **limits: float
 ) -> tuple[Candidates, np.ndarray]:
     """Return candidates, and the result of `repair_collisions` for them, in less time than for all candidates.
 
-    The collisions of ``everything`` are not yet known. A positioner only needs the candidate that it uses, unless it
+    The collisions of ``candidates`` are not yet known. A positioner only needs the candidate that it uses, unless it
     collides, has no target of the best class in reach, touches a positioner of this kind, or shares a target with it.
     Exchange moves change no other positioners. ``limits`` are those of `Candidates.with_collisions`.
     """
-    options, problem = everything.options, everything.problem
+    options, problem = candidates.options, candidates.problem
     idle = options.start[1:] - 1
     plan = np.where(chosen < 0, idle, chosen)
-    if len(everything) > CROWDED * len(plan) and not problem.any_goals:
-        keep = np.zeros(len(everything), dtype=bool)
+    if len(candidates) > CROWDED * len(plan) and not problem.any_goals:
+        keep = np.zeros(len(candidates), dtype=bool)
         keep[plan] = keep[idle] = True
-        used = everything.where(keep).with_collisions(**limits)
+        used = candidates.where(keep).with_collisions(**limits)
         now, blocked, _ = stand(used, np.searchsorted(np.flatnonzero(keep), plan))
         active = (blocked[now] > 0) | (options.rank[plan] > _best_rank(options))
         near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
@@ -105,13 +105,13 @@ def repair_nearby(
         shared[-1] = False
         near[options.own[shared[options.target]]] = True
         keep |= near[options.own]
-        some = everything.where(keep).with_collisions(**limits)
+        some = candidates.where(keep).with_collisions(**limits)
         first = np.searchsorted(np.flatnonzero(keep), plan)
-        found = repair_collisions(some, first, active=active, near=near, steady=steady)
-        if found is not None:
-            return some, found
-    everything = everything.with_collisions(**limits)
-    return everything, repair_collisions(everything, plan, steady=steady)
+        repaired = repair_collisions(some, first, active=active, near=near, steady=steady)
+        if repaired is not None:
+            return some, repaired
+    candidates = candidates.with_collisions(**limits)
+    return candidates, repair_collisions(candidates, plan, steady=steady)
 
 
 def repair_collisions(
@@ -183,13 +183,13 @@ def _recover(candidates, chosen, deadline, steady):
     for c in np.flatnonzero(np.isin(options.target, lost) & (options.rank == 0)):
         now, blocked, holder = state = stand(candidates, chosen)
         excluded = options.other[options.indptr[c] : options.indptr[c + 1]]
-        others = options.own[excluded[now[options.own[excluded]] == excluded]]
-        if holder[options.target[c]] >= 0 or (np.diff(options.start)[others] == 1).any() or left(deadline) == 0:
+        displaced = options.own[excluded[now[options.own[excluded]] == excluded]]
+        if holder[options.target[c]] >= 0 or (np.diff(options.start)[displaced] == 1).any() or left(deadline) == 0:
             continue
-        for j in others:
+        for j in displaced:
             moves.put(j, -1, options, *state)
         moves.put(options.own[c], c, options, *state)
-        for j in others:
+        for j in displaced:
             idle = options.start[j + 1] - 1
             best = moves.best_free(j, idle, options, *state)
             moves.put(j, idle if best < 0 else best, options, *state)
@@ -256,12 +256,12 @@ def _goals(candidates):
         *candidates.limits,
         len(problem.classes),
         problem.objective == "count" and len(problem.classes) > 1,
-        np.array([one.science for one in spreads], dtype=bool).reshape(shape),
-        np.array([one.near for one in spreads], dtype=bool).reshape(shape),
+        np.array([spread.science for spread in spreads], dtype=bool).reshape(shape),
+        np.array([spread.near for spread in spreads], dtype=bool).reshape(shape),
         np.concatenate(indptr),
         np.concatenate(close),
-        np.array([one.rule.k for one in spreads], dtype=np.int64),
-        np.array([one.rule.percent for one in spreads], dtype=float),
+        np.array([spread.rule.k for spread in spreads], dtype=np.int64),
+        np.array([spread.rule.percent for spread in spreads], dtype=float),
     )
 
 

@@ -128,10 +128,10 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
-    everything = movable_candidates(problem, before)
+    all_candidates = movable_candidates(problem, before)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
-    first = pick(everything, trim(problem, before), side)
-    candidates, chosen = repair_nearby(everything, first, steady=is_plan(problem.options.start))
+    first = pick(all_candidates, trim(problem, before), side)
+    candidates, chosen = repair_nearby(all_candidates, first, steady=is_plan(problem.options.start))
     target_of, had = candidates.options.target[chosen], before >= 0
     worse = problem.rank_of(target_of) > problem.rank_of(before)  # a less important target, or none
     n_moved, n_dropped = ((had & some).sum() for some in (~worse & (target_of != before), worse))
@@ -139,7 +139,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     if problem.distributions:
         free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
         meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
-    levels = _bounded(problem, target_of, None if problem.any_goals else match(everything))
+    levels = _bounded(problem, target_of, None if problem.any_goals else match(all_candidates))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
@@ -188,7 +188,7 @@ METHODS = table_of(
 The options of an allocator do not include the options that affect the results of every allocator:
 ``parked_obstacles``, ``keep_out`` and, if a requirement counts sky positions, ``sky_separation``.
 """
-OPTIONS = (*dict.fromkeys(name for one in METHODS.values() for name in one.options), "parked_obstacles")
+OPTIONS = (*dict.fromkeys(name for method in METHODS.values() for name in method.options), "parked_obstacles")
 """Options that not all allocators, or not all instruments, use."""
 
 
@@ -198,7 +198,7 @@ DEFAULT_ALLOCATOR = "repair"
 
 def name_of_best() -> str:
     """Return the name of the allocator that assigns the largest number of targets if collisions are ignored."""
-    return next(name for name, one in METHODS.items() if one.searches and not one.avoids_collisions)
+    return next(name for name, method in METHODS.items() if method.searches and not method.avoids_collisions)
 
 
 def _search(problem, **options):
@@ -260,11 +260,11 @@ def _fill_quotas(problem, target_of):
     owner_of[target_of[used]] = used
     locked = ~plane.arrays.usable
     locked[used] |= problem.is_required[target_of[used]]
-    for one in problem.requirements:
-        groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
+    for requirement in problem.requirements:
+        groups = [group for group in problem.groups if group.requirement is requirement and requirement.minimum > 0]
         if not groups:
             continue
-        by_fiber, counting = plane.spectrograph.ndim > 1 and one.per == "spectrograph", None
+        by_fiber, counting = plane.spectrograph.ndim > 1 and requirement.per == "spectrograph", None
         for group in groups:
             if group.targets is not counting:
                 counting, rows = group.targets, reach.where(group.holds_target(reach.target, reach.owner))
@@ -283,5 +283,5 @@ def _fill_quotas(problem, target_of):
             rank = problem.rank_of(target_of)
             able = np.flatnonzero(~locked & inside)
             order = able[np.argsort(-rank[able], kind="stable")]
-            need = one.minimum - len(counted)
+            need = requirement.minimum - len(counted)
             fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

@@ -98,9 +98,9 @@ def weights_of(problem: AllocationProblem, options) -> list:
     list of (ndarray of float or None)
         Weights of the candidates: one array, or None, for each objective.
     """
-    found = [(options.rank < stop).astype(float) for stop in problem._objectives.stop]
+    weights = [(options.rank < stop).astype(float) for stop in problem._objectives.stop]
     if problem.any_required:
-        found[0] = np.append(problem.is_required, False)[options.target].astype(float)
+        weights[0] = np.append(problem.is_required, False)[options.target].astype(float)
     if problem.groups:
-        found[int(problem.any_required)] = None
-    return found
+        weights[int(problem.any_required)] = None
+    return weights

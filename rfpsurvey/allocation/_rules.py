@@ -61,10 +61,10 @@ class RuleProblem:
         targets in reach of each positioner.
         """
         n, size, pairs = self.pairs.n_positioners, start[-1], self.pairs
-        found = np.empty(n, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(n, np.int64)
+        best = np.empty(n, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(n, np.int64)
         order = self.rank, subpriority, self.number, self.by_distance, is_open
-        kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start, *found)
-        return found
+        kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start, *best)
+        return best
 
 
 def balanced(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray, rng) -> AllocationAnswer:

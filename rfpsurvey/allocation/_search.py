@@ -86,53 +86,53 @@ def decide(
     problem = with_cost(problem)
     options = {"integral": integral, "squared_cost": squared_cost}
     begin = now()
-    everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
+    candidates, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
-    problem, everything, kept = with_used_classes(problem, everything)
-    repaired = found = None
-    is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
+    problem, candidates, kept = with_used_classes(problem, candidates)
+    repaired = solution = None
+    is_late, is_long = spent > LATE * problem.time_limit, candidates.options.other.size > LONG * len(candidates)
     if collide and is_long and not is_late and whole and not squared_cost:
-        found = local_optimum(given, everything)
-    is_large = whole and len(everything) > LARGEST
-    if collide and (is_long or is_late or is_large) and found is None:
-        repaired = repaired_plan(given, everything)
+        solution = local_optimum(given, candidates)
+    is_large = whole and len(candidates) > LARGEST
+    if collide and (is_long or is_late or is_large) and solution is None:
+        repaired = repaired_plan(given, candidates)
         if left(deadline) < spent:
-            plan, _ = plan_of(everything, repaired, np.inf)
-            values = values_of(everything, plan)
-            found = Found(plan, values, np.full(len(values), np.inf), LOCAL)
-    n_left_out = everything.preselection.n_left_out if whole else 0
+            plan, _ = plan_of(candidates, repaired, np.inf)
+            values = values_of(candidates, plan)
+            solution = Found(plan, values, np.full(len(values), np.inf), LOCAL)
+    n_left_out = candidates.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    used, is_searched = everything, found is None
+    used, is_searched = candidates, solution is None
     if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
-        used, found = _search(everything, end, collide=collide, repaired=repaired, **options)
-    chosen, bounds, bounding = found.chosen, found.bounds, used
-    meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
-    proven = found.values >= bounds
+        used, solution = _search(candidates, end, collide=collide, repaired=repaired, **options)
+    chosen, bounds, bounding = solution.chosen, solution.bounds, used
+    meta = {"n_candidates": len(candidates), "n_conflicts": candidates.pairs.shape[1], **solution.meta}
+    proven = solution.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
     if collide and n_left_out and is_searched:
-        bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
+        bounding, relaxed = _search(candidates.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
-        proven = (found.values >= bounds) & (relaxed.values >= bounds)
+        proven = (solution.values >= bounds) & (relaxed.values >= bounds)
     values = values_of(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(bounds)) <= first, bounds if whole else np.inf, np.inf)
-        limits = matching_limits(problem, everything if whole else None)
+        limits = matching_limits(problem, candidates if whole else None)
         if collide:
             if repaired is None:
-                repaired = repaired_plan(given, everything)
-            used, chosen = better_of(used, chosen, everything, repaired, share(deadline, FOR_BETTER))
+                repaired = repaired_plan(given, candidates)
+            used, chosen = better_of(used, chosen, candidates, repaired, share(deadline, FOR_BETTER))
             chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
         bounds = np.minimum(bounds, conditional_bounds(problem, values, limits, first))
     # The preselection for plans without collisions may omit targets of lower cost than those that it keeps.
-    least = found.least if whole and proven.all() and not (collide and n_left_out) else 0.0
-    if used is not everything and collide and everything.idle_pairs.size:
-        found = pick(everything, used.options.target[chosen], used.side[chosen])
-        used, chosen = everything, np.where(found < 0, everything.options.start[1:] - 1, found)
+    least = solution.least if whole and proven.all() and not (collide and n_left_out) else 0.0
+    if used is not candidates and collide and candidates.idle_pairs.size:
+        solution = pick(candidates, used.options.target[chosen], used.side[chosen])
+        used, chosen = candidates, np.where(solution < 0, candidates.options.start[1:] - 1, solution)
     return answer_of(given, problem, used, chosen, repaired, kept, lambda _: bounds, least, meta)
 
 
@@ -169,10 +169,10 @@ def _candidates_in_time(problem, *, collide, squared_cost):
         some = problem if most is None else replace(problem, pairs=best_pairs(problem, most))
         limits = {} if last else {"seconds": max(seconds, AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
-            found = find_candidates(some, squared_cost=squared_cost, **limits)
+            candidates = find_candidates(some, squared_cost=squared_cost, **limits)
         except OutOfTimeError:
             continue
-        return found, most is None
+        return candidates, most is None
     raise AssertionError
 
 
@@ -220,26 +220,26 @@ def _whole(bound):
     return np.floor(bound + ROUNDING)
 
 
-def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
+def _search(candidates: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
     """Return the candidates that the search used, and the best plan that it found.
 
     The search starts from the plan ``repaired``, if it is given.
     """
-    problem = everything.problem
-    used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
+    problem = candidates.problem
+    used = candidates.where(reduced(candidates.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
     end = share(deadline, FOR_REPAIR)
     # the plan of ``repair`` is not improved again
     start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, now())[0]
-    found = _solve(used, blind, start, deadline, collide=collide, **options)
-    if found.chosen is None:
-        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
-        return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
-    if (found.values < found.bounds).any() and collide and (found.chosen != start).any():
+    solution = _solve(used, blind, start, deadline, collide=collide, **options)
+    if solution.chosen is None:
+        chosen = _plan(candidates, pick(candidates, trim(problem, match(candidates))), collide, deadline)
+        return candidates, solution._replace(chosen=chosen, values=values_of(candidates, chosen))
+    if (solution.values < solution.bounds).any() and collide and (solution.chosen != start).any():
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
-        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
-    return used, found
+        return used, solution._replace(chosen=improve(used, solution.chosen, max(deadline, now() + FOR_LAST)))
+    return used, solution
 
 
 def _plan(candidates, chosen, collide, deadline):

@@ -48,16 +48,16 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
     """
     problem, options, rows, most = candidates.problem, candidates.options, [], []
     for group, held in zip(problem.groups, candidates.held, strict=True):
-        one = group.requirement
-        for sign, limit in ((-1.0, one.minimum or None), (1.0, one.maximum)):
+        requirement = group.requirement
+        for sign, limit in ((-1.0, requirement.minimum or None), (1.0, requirement.maximum)):
             if limit is not None:
                 rows.append(sign * held)
                 most.append(sign * limit)
     if problem.any_required:
-        others = np.append(problem.is_required & ~problem.science, False)
-        if others.any():
-            rows.append(-1.0 * others[options.target])
-            most.append(-1.0 * others[planned].sum())
+        required = np.append(problem.is_required & ~problem.science, False)
+        if required.any():
+            rows.append(-1.0 * required[options.target])
+            most.append(-1.0 * required[planned].sum())
     n_counts, usable = len(rows), np.ones(len(candidates), dtype=bool)
     for rule, science, near in candidates.spreads:
         kept = near & (options.target == planned[options.own])
@@ -116,25 +116,25 @@ class ListCandidates:
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
         """Return an answer that assigns no target and contains all candidates in ``meta``."""
-        found = find_candidates(problem, keep_target=self.keep_target)
-        cliques = Prices(found, np.inf)
-        options, reach = found.options, problem.pairs
+        candidates = find_candidates(problem, keep_target=self.keep_target)
+        cliques = Prices(candidates, np.inf)
+        options, reach = candidates.options, problem.pairs
         listed = TileCandidates(
             options.start,
             options.target.astype(np.int32),
-            found.side.astype(np.int8),
+            candidates.side.astype(np.int8),
             cliques.indptr,
             cliques.column.astype(np.int32),
-            found.preselection.shortened.any(axis=1),
+            candidates.preselection.shortened.any(axis=1),
             (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
-            rules_of(found, self.keep_target),
+            rules_of(candidates, self.keep_target),
         )
         if self.reuse:
-            listed = with_reused(listed, found, self.keep_target)
+            listed = with_reused(listed, candidates, self.keep_target)
         return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
 
 
-def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) -> TileCandidates:
+def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndarray) -> TileCandidates:
     """Return candidates with copies, without the role science, of those of science targets that also have other roles.
 
     The target of a copy is -2 - t, where t is the row of the target. A copy is in the same cliques as the original,
@@ -154,23 +154,23 @@ def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) 
     TileCandidates
         The candidates, in which the copies follow the originals of each positioner.
     """
-    problem, own, n = found.problem, found.options.own, len(found)
+    problem, owner, n = candidates.problem, candidates.options.own, len(candidates)
     several = problem.science & (problem.kind != "science")
     rows = np.flatnonzero(np.append(several, False)[listed.target])
     if len(rows) == 0:
         return listed
     kind, required = np.where(several, without_science(problem.kind), problem.kind), problem.is_required & ~several
-    others = found.for_problem(replace(problem, kind=kind, is_required=required))
-    rules, of_copies, is_idle = listed.rules, rules_of(others, planned), np.zeros(n + len(rows), dtype=bool)
+    copies = candidates.for_problem(replace(problem, kind=kind, is_required=required))
+    rules, of_copies, is_idle = listed.rules, rules_of(copies, planned), np.zeros(n + len(rows), dtype=bool)
     is_idle[listed.start[1:] - 1] = True
     copied = np.concatenate([np.arange(n), rows])
-    order = np.lexsort((is_idle, own[copied]))
+    order = np.lexsort((is_idle, owner[copied]))
     copied, is_copy = copied[order], order >= n
     shape = len(listed.indptr) - 1, n
     cliques = csr_array((np.ones(len(listed.column)), listed.column, listed.indptr), shape=shape)[:, copied]
     cliques.sort_indices()
     return listed._replace(
-        start=listed.start + np.concatenate([[0], np.cumsum(np.bincount(own[rows], minlength=len(listed.start) - 1))]),
+        start=listed.start + np.searchsorted(np.sort(owner[rows]), np.arange(len(listed.start))),
         target=np.where(is_copy, -2 - listed.target[copied], listed.target[copied]),
         side=listed.side[copied],
         indptr=cliques.indptr,
@@ -271,8 +271,8 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
     if x is None:
         return None, bound
     chosen = np.flatnonzero(x > 0.5)
-    own = np.searchsorted(problem.start, chosen, side="right") - 1
-    if not np.array_equal(own, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + TOLERANCE).any():
+    owner = np.searchsorted(problem.start, chosen, side="right") - 1
+    if not np.array_equal(owner, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + TOLERANCE).any():
         return None, bound
     return chosen, bound
 

@@ -117,27 +117,27 @@ class Finder:
         if ucd:
             for main in (True, False):
                 for column in self.table.colnames:
-                    own = _ucd(self.table[column])
-                    if own.startswith(ucd) and (not main or "meta.main" in own):
+                    column_ucd = _ucd(self.table[column])
+                    if column_ucd.startswith(ucd) and (not main or "meta.main" in column_ucd):
                         return column
         return None
 
     def unit_of(self, role: str) -> u.UnitBase | None:
         """Return the unit of the column with this role, from the table or from ``units``; None if there is no unit."""
         name = self.name_of(role)
-        own = getattr(self.table[name], "unit", None)
-        own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
+        unit = getattr(self.table[name], "unit", None)
+        unit = None if unit is None or u.Unit(unit) == u.dimensionless_unscaled else _unit(unit, role)
         try:
             given = _unit(self.units[role], role) if role in self.units else None
             if isinstance(given, u.UnrecognizedUnit):
                 raise ValueError
         except (ValueError, TypeError):
             raise InputError(f"the value of units for {role} must be a unit, got {short(self.units[role])}") from None
-        if own is not None and given is not None and own != given:
+        if unit is not None and given is not None and unit != given:
             raise InputError(
-                f"column {name!r} has the unit {own} in the table, but the unit {given} in the argument units"
+                f"column {name!r} has the unit {unit} in the table, but the unit {given} in the argument units"
             )
-        return own or given
+        return unit or given
 
     def has_units(self, roles: tuple[str, ...]) -> bool:
         """Return whether the table states a unit for any column of positions or proper motions with these roles."""

@@ -117,8 +117,8 @@ def _solve(columns, points, side):
 def _with_idle(find_angles, assigned, idle):
     """Return the joint angles of all positioners; positioners without a target have the angles of idle arms."""
     angles = find_angles()
-    for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
-        np.copyto(own, other, where=~assigned)
+    for angle, idle_angle in zip(angles, (idle.theta, idle.phi), strict=True):
+        np.copyto(angle, idle_angle, where=~assigned)
     return angles
 
 

@@ -106,7 +106,7 @@ def find_collisions(
     chosen = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
     if focal_plane.positioner.outline is not None and not chosen.supports_outlines:
-        able = " or ".join(repr(name) for name, one in METHODS.items() if one.supports_outlines)
+        able = " or ".join(repr(name) for name, method in METHODS.items() if method.supports_outlines)
         raise InputError(f"the method for arms with an outline must be {able}, got {method!r}")
     check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}

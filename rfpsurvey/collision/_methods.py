@@ -112,8 +112,8 @@ def scipy(case: Configuration) -> Found:
     for k in range(len(first)):
         p, q = case.segments[:, first[k]].reshape(2, 2), case.segments[:, second[k]].reshape(2, 2)
         matrix, offset = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
-        found = lsq_linear(matrix, offset, bounds=(0, 1), method="bvls", tol=1e-14)
-        distances[k] = np.hypot(*(matrix @ found.x - offset))
+        solution = lsq_linear(matrix, offset, bounds=(0, 1), method="bvls", tol=1e-14)
+        distances[k] = np.hypot(*(matrix @ solution.x - offset))
     return keep_closer(case, first, second, distances)
 
 

@@ -97,12 +97,12 @@ class Distribution(Checked, Rule):
             return self._not_checkable(why)
         science = np.flatnonzero(has_fiber & self._concerns(field, "science"))
         near = np.flatnonzero(has_fiber & self._concerns(field, self.what))
-        others = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
+        rest_of_fibers = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
         if len(science) == 0:
             return self._not_checkable("the plan does not have a science fiber of this type")
         distance = self.distances(field.xy[science], field.xy[near], self.k)
         percent = 100 * np.mean(distance <= self.distance_mm)
-        public = self.distances(field.xy[others], field.xy[near], min(self.k, 2))
+        public = self.distances(field.xy[rest_of_fibers], field.xy[near], min(self.k, 2))
         rank = "second-nearest" if self.k > 1 else "nearest"
         nth = {1: "nearest", 2: "second-nearest"}.get(self.k, f"neighbor {self.k}")
         note = (

@@ -139,24 +139,24 @@ class AllowedPoses:
         return locked(np.where(self.usable[pairs[:, :1]], pairs, pairs[:, ::-1]))
 
 
-def _clear_of_broken(columns, own, points, side, fiber):
+def _clear_of_broken(columns, owner, points, side, fiber):
     """Return whether arms keep the margin from the arms of broken positioners; they do not if rounding is uncertain."""
     plane, pairs = columns.plane, columns.plane.arrays.broken_pairs
-    clear = np.ones(len(own), dtype=bool)
+    clear = np.ones(len(owner), dtype=bool)
     near = np.zeros(len(plane), dtype=bool)
     near[pairs[:, 0]] = True
-    rows = np.flatnonzero(near[own] & np.isfinite(points).all(axis=1))
+    rows = np.flatnonzero(near[owner] & np.isfinite(points).all(axis=1))
     broken = np.unique(pairs[:, 1])
     if len(rows) == 0:
         return clear
-    mine, side = own[rows], np.broadcast_to(side, len(own)).astype(float)[rows]
+    mine, side = owner[rows], np.broadcast_to(side, len(owner)).astype(float)[rows]
     fiber = columns.fiber_index[mine] if fiber is None else fiber[rows]
     moved = columns.segments_of(mine, fiber, np.ascontiguousarray(points[rows]), side)
     fixed = columns.idle_segments(False)[:, broken]
-    owner = np.concatenate([mine, broken])
-    order = np.argsort(owner, kind="stable")
-    segments, owner = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), owner[order]
-    size = np.bincount(owner, minlength=len(plane))
+    of_segment = np.concatenate([mine, broken])
+    order = np.argsort(of_segment, kind="stable")
+    segments, of_segment = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), of_segment[order]
+    size = np.bincount(of_segment, minlength=len(plane))
     start = np.concatenate([[0], np.cumsum(size)])
     halves, limits = np.empty_like(segments), plane.arrays.limits_with(plane.margins.numbers["broken"])
     collisions.halve(segments, halves)
@@ -169,7 +169,7 @@ def _clear_of_broken(columns, own, points, side, fiber):
             pairs, p, plane.arrays.geometry, start, segments, halves, limits, first, second, borderline
         )
         if limits.outline.start.size > 1:
-            n = conflicts.keep_outlined(n, owner, segments, limits, first, second, borderline)
+            n = conflicts.keep_outlined(n, of_segment, segments, limits, first, second, borderline)
         close = order[first[:n]]
         clear[rows[close[close < len(rows)]]] = False
     return clear

@@ -59,7 +59,7 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
     if places:
         columns["fiber_xy"] = places
     if POLYGONS in table.meta:
-        columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
+        columns["obstacle_polygons"] = [polygon * u.mm for polygon in table.meta[POLYGONS]]
     columns["groups"] = {name: values for name in names if (values := _group(table, name, unit)) is not None}
     _warn_of_ignored(names)
     if MARGINS in table.meta:
@@ -79,7 +79,7 @@ def is_group(name: str) -> bool:
         *PLAIN,
         *LENGTHS,
         *CIRCLES.values(),
-        *(one for pair in PAIRS.values() for one in pair),
+        *(name for pair in PAIRS.values() for name in pair),
     }
     is_plain = " ".join(name.split()) == name and "/" not in name
     return is_plain and name not in known and not name.startswith(("fiber_x", "fiber_y"))
@@ -99,7 +99,7 @@ def _warn_of_ignored(names):
     """Issue a warning for each ignored column whose name is, or resembles, the name of a column that can be read."""
     pairs = [*PAIRS.values(), *((name, name.replace("_x", "_y", 1)) for name in names if name.startswith("fiber_x"))]
     pairs += [(name.replace("_y", "_x", 1), name) for name in names if name.startswith("fiber_y")]
-    partner = {name: other for pair in pairs for name, other in (pair, pair[::-1])}
+    partner = {name: paired for pair in pairs for name, paired in (pair, pair[::-1])}
     known = {"x", "y", *PLAIN, *LENGTHS, *CIRCLES.values(), *partner}
     for name in names:
         if name in partner and partner[name] not in names:
@@ -144,7 +144,7 @@ def to_table(plane) -> QTable:
             table[CIRCLES[name]] = radius * u.mm
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     if plane.obstacle_polygons:
-        table.meta[POLYGONS] = [one.tolist() for one in plane.arrays.obstacle_polygons]
+        table.meta[POLYGONS] = [polygon.tolist() for polygon in plane.arrays.obstacle_polygons]
     if plane.margins:
         table.meta[MARGINS] = plane.margins.numbers
     return table

@@ -105,8 +105,8 @@ def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
         return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
     maps = instrument.distortion
     maps = list(maps.values()) if isinstance(maps, dict) else [maps]
-    found = [(m.to_angle(radius * u.mm).to_value(u.rad), m.max_angle.to_value(u.rad)) for m in maps]
-    return np.max([np.where(np.isnan(angle), most, angle) for angle, most in found], axis=0)
+    angles = [(m.to_angle(radius * u.mm).to_value(u.rad), m.max_angle.to_value(u.rad)) for m in maps]
+    return np.max([np.where(np.isnan(angle), most, angle) for angle, most in angles], axis=0)
 
 
 def fact_texts(facts: dict) -> dict[str, str]:
@@ -180,9 +180,9 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
     slope = hull.equations[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
     depth = -(hull.equations[:, 2] + hull.equations[:, :2] @ center)[:, None]
     radius = np.min(np.where(slope > 1e-12, depth / np.where(slope > 1e-12, slope, 1.0), np.inf), axis=0)
-    found = {name: _difference(radius / radius.mean(), angle, n) for name, n in SHAPES.items()}
-    best = min(found, key=found.get)
-    return best if found[best] < SIMILAR else "irregular"
+    differences = {name: _difference(radius / radius.mean(), angle, n) for name, n in SHAPES.items()}
+    best = min(differences, key=differences.get)
+    return best if differences[best] < SIMILAR else "irregular"
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:
