@@ -19,7 +19,7 @@ class Options(NamedTuple):
     """Candidates with their classes, costs and collisions; the target of an idle arm is -1."""
 
     start: np.ndarray
-    own: np.ndarray
+    owner: np.ndarray
     target: np.ndarray
     rank: np.ndarray
     """Class of each candidate; 0 is the most important."""
@@ -33,7 +33,7 @@ class Options(NamedTuple):
     t_candidate: np.ndarray
     """Indices of candidates, sorted by target; the candidates of target t begin at ``t_indptr[t]``."""
     indptr: np.ndarray
-    other: np.ndarray
+    excluded: np.ndarray
     """Candidates that collide with each candidate; the list for candidate c begins at ``indptr[c]``."""
 
 
@@ -157,7 +157,7 @@ def join(first, second, label):
 def grow_cliques(owner, indptr, excluded, first, covered, row_start, out, most_work):
     """Cover conflicts of candidates with maximal cliques, beginning with the conflicts of candidate ``first``.
 
-    The row of candidate a in ``indptr`` and ``other`` lists the candidates of other positioners that a excludes. A
+    The row of candidate a in ``indptr`` and ``excluded`` lists the candidates of other positioners that a excludes. A
     clique is made from a conflict that no earlier clique contains. The candidate with the most conflicts with members
     of the clique that no clique contains is added, until no candidate excludes all members. ``covered`` marks the
     conflicts that a clique contains. The function ends when ``row_start`` or ``out`` is full or after about

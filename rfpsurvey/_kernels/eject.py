@@ -71,7 +71,7 @@ class Move(NamedTuple):
 
     n: np.ndarray
     """Number of steps, shape (1,)."""
-    own: np.ndarray
+    owner: np.ndarray
     before: np.ndarray
     """Positioner of each step, and its candidate before the step."""
     sums: np.ndarray
@@ -94,10 +94,10 @@ def new_move(n_classes: int) -> Move:
 @inner_kernel
 def step(i, c, options, goals, plan, move):
     """Assign candidate c to positioner i (none if c = -1), and update the plan and the changes of the move."""
-    indptr, excluded, target, rank = options.indptr, options.other, options.target, options.rank
+    indptr, excluded, target, rank = options.indptr, options.excluded, options.target, options.rank
     holder, blocked, count, sums, net = plan.holder, plan.blocked, plan.count, move.sums, move.net
     old, n = plan.chosen[i], move.n[0]
-    move.own[n], move.before[n] = i, old
+    move.owner[n], move.before[n] = i, old
     move.n[0] += 1
     plan.chosen[i] = c
     if old >= 0 and target[old] >= 0 and holder[target[old]] == i:
@@ -168,7 +168,7 @@ def undo(options, goals, plan, move):
     n = move.n[0]
     for k in range(n - 1, -1, -1):
         move.n[0] = n
-        step(move.own[k], move.before[k], options, goals, plan, move)
+        step(move.owner[k], move.before[k], options, goals, plan, move)
 
 
 @inner_kernel
@@ -265,13 +265,13 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
     move.
     """
     chosen, blocked, holder, before, blockers = plan.chosen, plan.blocked, plan.holder, move.before, move.blockers
-    rank, target, indptr, excluded, worth = options.rank, options.target, options.indptr, options.other, goals.worth
+    rank, target, indptr, excluded, worth = options.rank, options.target, options.indptr, options.excluded, goals.worth
     m, t = 0, target[c]
     if t >= 0 and holder[t] >= 0 and holder[t] != i:
         blockers[0] = holder[t]
         m = 1
     for k in range(indptr[c], indptr[c + 1]):
-        j = options.own[excluded[k]]
+        j = options.owner[excluded[k]]
         if chosen[j] != excluded[k] or (m > 0 and j == blockers[0]):
             continue
         if m == MOST_BLOCKERS:
@@ -293,7 +293,7 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
         step(blockers[k], d, options, goals, plan, move)
     for k in range(m + 1):
         old = before[k]
-        if old < 0 or chosen[move.own[k]] == old:
+        if old < 0 or chosen[move.owner[k]] == old:
             continue
         t, n_places = target[old], indptr[old + 1] - indptr[old]
         n_both = n_places
@@ -302,7 +302,7 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
         for p in range(n_both):
             freed = p - n_places  # the target of the candidate
             d = excluded[indptr[old] + p] if freed < 0 else options.t_candidate[options.t_indptr[t] + freed]
-            j = options.own[d]
+            j = options.owner[d]
             now = chosen[j]
             if blocked[d] > 0 or target[d] < 0 or holder[target[d]] >= 0 or rank[d] > rank[now] or fixed[j]:
                 continue

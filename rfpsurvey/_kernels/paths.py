@@ -19,7 +19,7 @@ TOLERANCE = 1e-6
 class Links(NamedTuple):
     """The candidates of all positioners."""
 
-    own: np.ndarray
+    owner: np.ndarray
     """Positioner of each candidate."""
     target: np.ndarray
     """Target of each candidate, or -1 if its visits do not count, as those of an idle arm or of a sky position."""
@@ -56,7 +56,7 @@ def exchange(old, new, links):
 @kernel
 def swap(c, links, chosen, load):
     """Use candidate c for its positioner, and update the number of used candidates of each clique (``load``)."""
-    i = links.own[c]
+    i = links.owner[c]
     old = chosen[i]
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] -= 1
@@ -69,7 +69,7 @@ def swap(c, links, chosen, load):
 @kernel
 def is_free(c, links, chosen, load):
     """Return whether candidate c may replace that of its positioner: no other arm collides, and all rules are kept."""
-    old = chosen[links.own[c]]
+    old = chosen[links.owner[c]]
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] -= 1
     free = True
@@ -92,7 +92,7 @@ def last_step(t, level, replace, links, chosen, load):
     """
     for k in range(links.t_indptr[t], links.t_indptr[t + 1]):
         c = links.t_candidate[k]
-        old = chosen[links.own[c]]
+        old = chosen[links.owner[c]]
         ends = links.target[old] < 0 or (replace and links.rank[old] > level)
         if ends and is_free(c, links, chosen, load):
             return c
@@ -116,7 +116,7 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
         if k < 0:
             c = last_step(t, level, replace, links, chosen, load)
             if c >= 0:
-                old = links.target[chosen[links.own[c]]]
+                old = links.target[chosen[links.owner[c]]]
                 swap(c, links, chosen, load)
                 left[begin] -= 1
                 if old >= 0:
@@ -127,7 +127,7 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
         while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not has_path:
             c = links.t_candidate[k]
             k += 1
-            old = chosen[links.own[c]]
+            old = chosen[links.owner[c]]
             h = links.target[old]
             if h < 0 or h == t or seen[h] or (replace and links.rank[old] > level):
                 continue

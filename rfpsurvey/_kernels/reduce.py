@@ -13,8 +13,8 @@ def dominates(a, b, i, alive, options, mark):
 
     ``mark[c]`` must equal b for each candidate c that collides with b. Candidates that are not ``alive`` are ignored.
     """
-    owner, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
-    indptr, excluded = options.indptr, options.other
+    owner, target, t_indptr, t_candidate = options.owner, options.target, options.t_indptr, options.t_candidate
+    indptr, excluded = options.indptr, options.excluded
     for k in range(indptr[a], indptr[a + 1]):
         if alive[excluded[k]] and mark[excluded[k]] != b:
             return False
@@ -48,9 +48,9 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
     end. ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends
     after about ``most_work`` comparisons; the next call continues the reduction. ``alive`` is valid after each call.
     """
-    start, owner, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
+    start, owner, target, rank, cost = options.start, options.owner, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
-    indptr, excluded = options.indptr, options.other
+    indptr, excluded = options.indptr, options.excluded
     n = start.size - 1
     head, tail = ends[0], ends[1]
     work = 0

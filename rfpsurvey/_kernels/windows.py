@@ -152,7 +152,7 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
 @kernel
 def change(c, links, chosen, load, journal):
     """Use candidate c, and add the previous candidate of its positioner to the journal."""
-    journal.append(chosen[links.own[c]])
+    journal.append(chosen[links.owner[c]])
     swap(c, links, chosen, load)
 
 
@@ -161,7 +161,7 @@ def remove(t, links, dates, chosen, load, used, done, journal, places):
     """Remove all visits of target t."""
     for p in range(dates.p_indptr[t], dates.p_indptr[t + 1]):
         if used[p] >= 0:
-            change(dates.idle[links.own[used[p]]], links, chosen, load, journal)
+            change(dates.idle[links.owner[used[p]]], links, chosen, load, journal)
             places.append((p, used[p]))
             used[p] = -1
     done[t, 0] = done[t, 1] = 0
@@ -181,7 +181,7 @@ def insert(t, turn, links, dates, chosen, load, used, done, cost, candidate, wor
             c = dates.candidate[begin + (turn + k) % size]
             if not dates.usable[c]:
                 continue
-            if links.target[chosen[links.own[c]]] < 0 and is_free(c, links, chosen, load):
+            if links.target[chosen[links.owner[c]]] < 0 and is_free(c, links, chosen, load):
                 # sequences of equal value are tried in turn
                 cost[p], candidate[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
                 break
@@ -200,13 +200,13 @@ def blockers(t, n, links, dates, chosen, load, out):
     for p in range(dates.p_indptr[t], dates.p_indptr[t + 1]):
         for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
             c = dates.candidate[k]
-            n = add(links.target[chosen[links.own[c]]], t, n, out)
+            n = add(links.target[chosen[links.owner[c]]], t, n, out)
             for r in range(links.indptr[c], links.indptr[c + 1]):
                 clique = links.clique[r]
                 if load[clique] > 0:
                     for q in range(dates.k_indptr[clique], dates.k_indptr[clique + 1]):
                         rival = dates.member[q]
-                        if chosen[links.own[rival]] == rival:
+                        if chosen[links.owner[rival]] == rival:
                             n = add(links.target[rival], t, n, out)
     return n
 
@@ -227,7 +227,7 @@ def add(h, t, n, out):
 def keeps_limits(links, chosen, load, journal):
     """Return whether the positioners of a journal collide with no other arm, and all rules are kept."""
     for old in journal:
-        c = chosen[links.own[old]]
+        c = chosen[links.owner[old]]
         for r in range(links.indptr[c], links.indptr[c + 1]):
             if load[links.clique[r]] > 1:
                 return False
@@ -313,7 +313,7 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
                 for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
                     c = dates.candidate[k]
                     if price_of(c, price, own_price, links) == cost[p]:
-                        own_usage[links.own[c]] += 1.0
+                        own_usage[links.owner[c]] += 1.0
                         for r in range(links.indptr[c], links.indptr[c + 1]):
                             usage[links.clique[r]] += 1.0
                         break
@@ -323,7 +323,7 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
 @kernel
 def price_of(c, price, own_price, links):
     """Return the price of a candidate."""
-    total = own_price[links.own[c]]
+    total = own_price[links.owner[c]]
     for r in range(links.indptr[c], links.indptr[c + 1]):
         total += price[links.clique[r]]
     return total

@@ -53,7 +53,7 @@ class Candidates:
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = _pairs_where(self.pairs, keep, new)
-        columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
+        columns = start, o.owner[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
         candidates = _assemble(self.problem, self.preselection, *columns)
         if "segments" in self.__dict__:
             # with the memory layout of self.segments[:, keep], numba would compile kernels again
@@ -63,14 +63,14 @@ class Candidates:
     def for_problem(self, problem: AllocationProblem) -> "Candidates":
         """Return the candidates for a problem in which only the roles of the targets differ."""
         o = self.options
-        return _assemble(problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, self.pairs)
+        return _assemble(problem, self.preselection, o.start, o.owner, o.target, self.side, o.cost, self.pairs)
 
     @cached_property
     def spreads(self) -> list[Spread]:
         """The candidates that each rule on the distribution of fibers concerns."""
         o, problem = self.options, self.problem
         return [
-            Spread(rule, *(members(problem, rule, what, o.own, o.target) for what in ("science", rule.what)))
+            Spread(rule, *(members(problem, rule, what, o.owner, o.target) for what in ("science", rule.what)))
             for rule in problem.distributions
         ]
 
@@ -98,7 +98,7 @@ class Candidates:
     def segments(self) -> np.ndarray:
         """Segments that represent the arms in tests for collisions, shape (4, n)."""
         o = self.options
-        return place_segments(self.problem, o.own, o.target, self.side, o.start[1:] - 1)
+        return place_segments(self.problem, o.owner, o.target, self.side, o.start[1:] - 1)
 
     @cached_property
     def moves(self) -> "tuple[motion.Moves, bool] | None":
@@ -106,7 +106,7 @@ class Candidates:
         o, moving = self.options, self.problem.motion
         if moving is None:
             return None
-        return moving.moves(o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
+        return moving.moves(o.owner, o.target, self.side, o.start[1:] - 1), moving.same_speed
 
     def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
         """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
@@ -115,7 +115,7 @@ class Candidates:
         pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs, self.moves)
         # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
         both_idle = is_idle[pairs[0]] & is_idle[pairs[1]]
-        idle_pairs, pairs = o.own[pairs[:, both_idle]], np.ascontiguousarray(pairs[:, ~both_idle])
+        idle_pairs, pairs = o.owner[pairs[:, both_idle]], np.ascontiguousarray(pairs[:, ~both_idle])
         options = o._replace(**_adjacency(len(self), pairs))
         return replace(self, options=options, pairs=pairs, idle_pairs=idle_pairs)
 
@@ -127,7 +127,7 @@ class Candidates:
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
-        free = replaceable(self.preselection, o.own, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
+        free = replaceable(self.preselection, o.owner, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
         pairs = _pairs_where(self.pairs, ~free, np.arange(len(free)))
         return replace(self, options=o._replace(**_adjacency(len(self), pairs)), pairs=pairs, idle_pairs=None)
 
@@ -188,7 +188,7 @@ def _adjacency(n, pairs):
     """Return the collisions of each of n candidates as compressed rows, for `Options`."""
     indptr, excluded = np.empty(n + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
     conflicts.adjacency(pairs[0], pairs[1], indptr, excluded)
-    return {"indptr": indptr, "other": excluded}
+    return {"indptr": indptr, "excluded": excluded}
 
 
 def list_candidates(problem, reach, both_elbows):
@@ -318,9 +318,9 @@ def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
     ndarray of bool, shape (n_candidates,)
         Whether each candidate remains.
     """
-    n = len(options.start) - 1
-    alive, queue, waiting = np.ones(len(options.own), dtype=bool), np.arange(n), np.ones(n, dtype=bool)
-    ends, mark, removed = np.array([0, n]), np.full(len(options.own), -1), np.empty(len(options.own), dtype=np.int64)
+    n, size = len(options.start) - 1, len(options.owner)
+    alive, queue, waiting = np.ones(size, dtype=bool), np.arange(n), np.ones(n, dtype=bool)
+    ends, mark, removed = np.array([0, n]), np.full(size, -1), np.empty(size, dtype=np.int64)
     while ends[0] < ends[1] and left(deadline) > 0:
         reduce.reduce_some(options, alive, queue, waiting, ends, mark, removed, COMPARED)
     return alive
@@ -352,7 +352,7 @@ def cover(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadl
     indptr, column : ndarray of int
         The cliques as compressed rows: clique ``k`` is ``column[indptr[k]:indptr[k + 1]]``. Each clique is sorted.
     """
-    n = len(options.own)
+    n = len(options.owner)
     edges_and_rivals = np.concatenate([edges, _twins(options, rows)], axis=1)
     indptr, excluded = _adjacency(n, edges_and_rivals).values()
     covered, room = np.zeros(len(excluded), dtype=bool), np.empty(n + N_MEMBERS, dtype=np.int64)
@@ -361,7 +361,7 @@ def cover(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadl
         if left(deadline) == 0:
             raise OutOfTimeError
         some = np.zeros(N_CLIQUES + 1, dtype=np.int64)
-        first, k = conflicts.grow_cliques(options.own, indptr, excluded, first, covered, some, room, WORK)
+        first, k = conflicts.grow_cliques(options.owner, indptr, excluded, first, covered, some, room, WORK)
         sizes.append(np.diff(some[: k + 1]))
         columns.append(room[: some[k]].copy())
     return np.cumsum(np.concatenate(sizes)), np.concatenate(columns)
@@ -377,6 +377,6 @@ def _twins(options, rows):
         same = options.target[pair[0]] == options.target[pair[1]]
         if not same.any():
             return np.concatenate(parts, axis=1)
-        apart = options.own[pair[0]] != options.own[pair[1]]
+        apart = options.owner[pair[0]] != options.owner[pair[1]]
         parts.append(pair[:, same & apart])
         step += 1

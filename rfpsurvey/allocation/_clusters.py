@@ -56,7 +56,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     n = len(options.start) - 1
     chosen = np.where(np.diff(options.start) == 1, options.start[:-1], -1)
     label = _partition(candidates, np.arange(n), LARGEST, 0.0)
-    of_candidate = label[options.own]
+    of_candidate = label[options.owner]
     row = np.repeat(np.arange(len(prices.price)), np.diff(prices.indptr))
     cluster = of_candidate[prices.column]
     low, high = np.full(len(prices.price), len(label)), np.full(len(prices.price), -1)
@@ -74,14 +74,14 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     inner = np.bincount(low[~cross], weights=prices.price[~cross], minlength=len(ends))
     for k in range(len(ends) - 1):
         rows = order[ends[k] : ends[k + 1]]
-        owners = np.unique(options.own[rows])
-        start = np.searchsorted(options.own[rows], np.append(owners, n))
+        owners = np.unique(options.owner[rows])
+        start = np.searchsorted(options.owner[rows], np.append(owners, n))
         fallback = float(inner[k]) + float(kernels.bound_of(start, reduced[rows], np.zeros(0)))
         bound, x = _solve_cluster(by_column, rows, start, value[rows], deadline)
         total += min(bound, fallback)
         if x is not None:
             used = rows[x > 0.5]
-            chosen[options.own[used]] = used
+            chosen[options.owner[used]] = used
     return total + 1e-9 * (n + float(prices.price.sum())), chosen
 
 
@@ -148,7 +148,7 @@ def improve_by_clusters(
         elif improved:
             quiet = 0
         elif (quiet := quiet + 1) > 1:
-            if size >= LARGEST or size >= len(options.own):
+            if size >= LARGEST or size >= len(options.owner):
                 break
             size, quiet = 2 * size, 0
         if not in_time and size == SMALLEST and not improved and (quiet := quiet + 1) > 2:
@@ -182,7 +182,7 @@ def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=
         better = not program.holds(x) or tuple(solution.values) > tuple(program.reaches(x))
         after = solution.chosen
     for c in after:
-        moves.put(options.own[c], c, options, now, blocked, holder)
+        moves.put(options.owner[c], c, options, now, blocked, holder)
     return better, solution is not None and bool((solution.values >= solution.bounds).all())
 
 
@@ -232,7 +232,7 @@ def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
     size = options.indptr[rows + 1] - options.indptr[rows]
     begin = np.cumsum(size) - size
     first = np.repeat(rows, size)
-    second = options.other[np.repeat(options.indptr[rows] - begin, size) + np.arange(size.sum())]
+    second = options.excluded[np.repeat(options.indptr[rows] - begin, size) + np.arange(size.sum())]
     sorted_rows = np.sort(rows)
     place = np.minimum(np.searchsorted(sorted_rows, second), len(rows) - 1)
     keep = (sorted_rows[place] == second) & (first < second) if len(rows) else np.zeros(0, dtype=bool)

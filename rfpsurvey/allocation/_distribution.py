@@ -97,7 +97,7 @@ def add_neighbors(candidates, spread: Spread, deadline: float, now, blocked, hol
     keep = np.append(problem.is_required, False)[options.target]
     keep |= np.any([spread.near for spread in candidates.spreads], axis=0)
     able, fibers = np.flatnonzero(near), now[science[now]]
-    owner, alive = options.own[able], np.ones(len(fibers), dtype=bool)
+    owner, alive = options.owner[able], np.ones(len(fibers), dtype=bool)
     place, at = np.unique(options.target[able], return_inverse=True)
     pairs = pairs_within(problem.xy[options.target[fibers]], problem.xy[place], rule.distance_mm)
     close = csr_array((np.ones(len(pairs[0])), pairs), shape=(len(fibers), len(place))).tocsc()
@@ -131,6 +131,6 @@ def drop_unserved(candidates, spread: Spread, now, blocked, holder) -> None:
     apart = rule.distances(problem.xy[options.target[fibers]], problem.xy[options.target[near]], rule.k)
     lacking = fibers[apart > rule.distance_mm]
     for c in lacking[np.argsort(-options.rank[lacking], kind="stable")]:
-        idle = options.start[options.own[c] + 1] - 1
+        idle = options.start[options.owner[c] + 1] - 1
         if lack_of(problem, rule, options.target[now]) > 0 and blocked[idle] == 0 and c != idle:
-            moves.put(options.own[c], idle, options, now, blocked, holder)
+            moves.put(options.owner[c], idle, options, now, blocked, holder)

@@ -77,7 +77,7 @@ def _separate(candidates, members, state, deadline, keep_cost):
             after = program.chosen(x)
     finally:
         for c in after:
-            moves.put(options.own[c], c, options, *state)
+            moves.put(options.owner[c], c, options, *state)
 
 
 def _fewest(program, pairs, idle, now, x, deadline, keep_cost):

@@ -48,19 +48,19 @@ def match(candidates: Candidates) -> np.ndarray:
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets have candidates
     order = able[np.argsort(classes[able], kind="stable")]
-    rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
+    rules.match(order, options.t_indptr, options.owner[options.t_candidate], target_of, positioner_of)
     return target_of
 
 
 def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
     """Return the candidate of each positioner for given targets and elbows, or -1 if there is no such candidate."""
     options = candidates.options
-    fits = (options.target >= 0) & (options.target == target_of[options.own])
+    fits = (options.target >= 0) & (options.target == target_of[options.owner])
     if side is not None:
-        fits &= candidates.side == side[options.own]
+        fits &= candidates.side == side[options.owner]
     chosen = np.full(len(target_of), -1)
     rows = np.flatnonzero(fits)[::-1]
-    chosen[options.own[rows]] = rows
+    chosen[options.owner[rows]] = rows
     return chosen
 
 
@@ -101,10 +101,10 @@ def repair_nearby(
         near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
         near[second[active[first]]] = near[first[active[second]]] = True
         shared = np.zeros(len(problem.xy) + 1, dtype=bool)  # the last element is for idle arms
-        shared[options.target[active[options.own]]] = True
+        shared[options.target[active[options.owner]]] = True
         shared[-1] = False
-        near[options.own[shared[options.target]]] = True
-        keep |= near[options.own]
+        near[options.owner[shared[options.target]]] = True
+        keep |= near[options.owner]
         some = candidates.where(keep).with_collisions(**limits)
         first = np.searchsorted(np.flatnonzero(keep), plan)
         repaired = repair_collisions(some, first, active=active, near=near, steady=steady)
@@ -182,13 +182,13 @@ def _recover(candidates, chosen, deadline, steady):
         return chosen
     for c in np.flatnonzero(np.isin(options.target, lost) & (options.rank == 0)):
         now, blocked, holder = state = stand(candidates, chosen)
-        excluded = options.other[options.indptr[c] : options.indptr[c + 1]]
-        displaced = options.own[excluded[now[options.own[excluded]] == excluded]]
+        excluded = options.excluded[options.indptr[c] : options.indptr[c + 1]]
+        displaced = options.owner[excluded[now[options.owner[excluded]] == excluded]]
         if holder[options.target[c]] >= 0 or (np.diff(options.start)[displaced] == 1).any() or left(deadline) == 0:
             continue
         for j in displaced:
             moves.put(j, -1, options, *state)
-        moves.put(options.own[c], c, options, *state)
+        moves.put(options.owner[c], c, options, *state)
         for j in displaced:
             idle = options.start[j + 1] - 1
             best = moves.best_free(j, idle, options, *state)
@@ -217,7 +217,7 @@ def improve(
     if near is not None:
         fixed |= ~near
     plan, move = _plan(candidates, chosen, goals), new_move(goals.n_classes)
-    plain, progress = goals._replace(worth=np.zeros(len(options.own))), np.array([SEED, 0], dtype=np.uint64)
+    plain, progress = goals._replace(worth=np.zeros(len(options.owner))), np.array([SEED, 0], dtype=np.uint64)
     is_small, is_long = len(chosen) < SMALL, problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
     stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
     if goals.worth.any() or not stages:
@@ -316,7 +316,7 @@ def _best_rank(options):
 
 def _batches(options, order):
     """Divide positioners into batches whose candidates have about ``BATCH`` collisions."""
-    if options.indptr[-1] + len(options.own) < BATCH:
+    if options.indptr[-1] + len(options.owner) < BATCH:
         return [order]
     ends = options.indptr[options.start]
     work = np.cumsum((np.diff(ends) + np.diff(options.start))[order])

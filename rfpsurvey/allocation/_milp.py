@@ -47,13 +47,13 @@ class SpreadRows:
         self.n_fixed, self.n_served = len(fixed), int(enough[row[n:]].sum())
         # the key of a science fiber is its positioner and its target; fixed fibers have a positioner after all others
         after = len(options.start) - 1
-        key = row + len(targets) * np.append(options.own[rows[self.science]], np.full(len(fixed), after))
+        key = row + len(targets) * np.append(options.owner[rows[self.science]], np.full(len(fixed), after))
         fibers, of_fiber = np.unique(key[is_open[row]], return_inverse=True)
         of_column = np.flatnonzero(is_open[row])
         free = of_column < n
         cells = of_fiber[free], self.science[of_column[free]]
         # columns of the candidates of each science fiber, as ones; empty for fixed fibers
-        self.own = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
+        self.owner = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
         positioner, self.row = np.divmod(fibers, max(len(targets), 1))  # the row of ``near`` for each science fiber
         self.is_fixed = positioner == after
         _, place = np.unique(positioner[~self.is_fixed], return_inverse=True)
@@ -66,8 +66,8 @@ class SpreadRows:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """Return the variables of the science fibers for a plan, from the variables of the candidates."""
-        x = x[: self.own.shape[1]]
-        return (self.is_fixed | (self.own @ x > 0.5)) & (self.near @ x + self.n_near > self.k - 0.5)[self.row]
+        x = x[: self.owner.shape[1]]
+        return (self.is_fixed | (self.owner @ x > 0.5)) & (self.near @ x + self.n_near > self.k - 0.5)[self.row]
 
     def limits(self, owner: np.ndarray) -> list[tuple[csr_array, csr_array, np.ndarray]]:
         """Return constraints: one matrix times the fibers is at most another times the candidates plus a number.
@@ -80,7 +80,7 @@ class SpreadRows:
         unit = csr_array((np.ones(n), (np.searchsorted(used, self.row), np.arange(n))), shape=(len(used), n))
         every = csr_array(self.group @ unit.T)  # the targets of each positioner
         union = csr_array(every @ self.near[used]).tocoo()
-        first = self.own[self.group.indices[self.group.indptr[:-1]]]  # a candidate of each positioner
+        first = self.owner[self.group.indices[self.group.indptr[:-1]]]  # a candidate of each positioner
         mine = owner[first.indices[first.indptr[:-1]]]
         # the other candidates of a positioner are not in use if one of its science fibers is in use
         kept = (owner[union.col] != mine[union.row]) | np.isin(union.col, self.science)
@@ -89,7 +89,7 @@ class SpreadRows:
         alone = np.flatnonzero(~self.is_fixed)
         pick = csr_array((np.ones(len(alone)), (np.arange(len(alone)), alone)), shape=(len(alone), n))
         return [
-            (pick, self.own[alone], np.zeros(len(alone))),
+            (pick, self.owner[alone], np.zeros(len(alone))),
             (self.k * unit, self.near[used], self.n_near[used]),
             (self.k * self.group, union, most),
         ]
@@ -112,8 +112,8 @@ class Program:
     ):
         self.problem, self.candidates, self.candidate = candidates.problem, candidates, rows
         options = candidates.options
-        self.target, self.own = options.target[rows], options.own[rows]
-        self.index = np.full(len(options.own), -1)
+        self.target, self.owner = options.target[rows], options.owner[rows]
+        self.index = np.full(len(options.owner), -1)
         self.index[rows] = np.arange(len(rows))
         self.spreads = [SpreadRows(candidates, spread, rows, outside) for spread in candidates.spreads]
         self.short = len(rows) + np.arange(len(self.problem.groups) + len(self.spreads))
@@ -195,7 +195,7 @@ class Program:
 
     def _positioners(self):
         """Add constraints: exactly one candidate of each positioner is used."""
-        _, row = np.unique(self.own, return_inverse=True)
+        _, row = np.unique(self.owner, return_inverse=True)
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
     def _targets(self):
@@ -235,7 +235,7 @@ class Program:
         """Add constraints: science fibers have neighbors only if they are in use and enough neighbors are in use."""
         for short, first, spread in zip(self.short[len(self.problem.groups) :], self.first, self.spreads, strict=False):
             z = first + np.arange(len(spread))
-            for fibers, candidates, most in spread.limits(self.own) if len(spread) else []:
+            for fibers, candidates, most in spread.limits(self.owner) if len(spread) else []:
                 fibers, candidates = fibers.tocoo(), candidates.tocoo()
                 row, column = np.append(fibers.row, candidates.row), np.append(z[fibers.col], candidates.col)
                 self._add(row, column, -np.inf, most.astype(float), np.append(fibers.data, -candidates.data))
@@ -254,7 +254,7 @@ class Program:
         if problem.any_required:
             columns[0] = np.flatnonzero(np.append(problem.is_required, False)[self.target])
         low, worth = np.zeros(len(columns)), np.ones(len(columns))
-        high = [min(len(np.unique(self.own[used])), len(np.unique(self.target[used]))) for used in columns]
+        high = [min(len(np.unique(self.owner[used])), len(np.unique(self.target[used]))) for used in columns]
         if problem.any_goals:
             k = int(problem.any_required)
             columns[k], worth[k], high[k] = self.short, -1.0, 0

@@ -49,7 +49,7 @@ class Motion:
         return test[collision.unfolding_obstacles(plane, moves, owner, test)]
 
     def turns(self, owner: np.ndarray, moves: Moves) -> np.ndarray:
-        """Return whether each folded arm can turn to its direction; ``owner``, the positioners of the arms, is sorted."""
+        """Return whether each folded arm can turn to its direction; the positioners ``owner`` are sorted."""
         center = self.problem.focal_plane.arrays.xy[owner]
         return self._turning.allows(owner, np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0]))
 

@@ -31,7 +31,7 @@ class Prices:
     def __init__(self, candidates: Candidates, deadline: float):
         options = candidates.options
         self.indptr, self.column = cover(options, np.arange(len(candidates)), candidates.pairs, deadline)
-        self.start, self.own = options.start, options.own
+        self.start, self.owner = options.start, options.owner
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
         self.price, self.most = np.zeros(shape[0]), np.ones(shape[0])
@@ -69,7 +69,7 @@ class Prices:
                     end = min(begin + BATCH, n)
                     ends = (begin, end, 1) if sweep % 2 == 0 else (n - begin - 1, n - end - 1, -1)
                     kernels.adjust_prices(
-                        self.start, self.own, self.indptr, self.column, value, self.price, limits, width, *ends
+                        self.start, self.owner, self.indptr, self.column, value, self.price, limits, width, *ends
                     )
                 now = self.bound(weights)
                 if now < best:

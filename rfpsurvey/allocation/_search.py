@@ -90,7 +90,7 @@ def decide(
     spent = now() - begin
     problem, candidates, kept = with_used_classes(problem, candidates)
     repaired = solution = None
-    is_late, is_long = spent > LATE * problem.time_limit, candidates.options.other.size > LONG * len(candidates)
+    is_late, is_long = spent > LATE * problem.time_limit, candidates.options.excluded.size > LONG * len(candidates)
     if collide and is_long and not is_late and whole and not squared_cost:
         solution = local_optimum(given, candidates)
     is_large = whole and len(candidates) > LARGEST
@@ -263,9 +263,9 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
     adds = np.array([name != "requirements" for name in problem.level_names])
     n_parts, n_programs, least = 0, 0, options.cost[known].sum()
     integers, complete = False, True
-    parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
+    parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.owner])))
     for rows, edges in parts:
-        mine = np.unique(options.own[rows])
+        mine = np.unique(options.owner[rows])
         tell = None if problem.tell is None else partial(_tell, problem.tell, n_parts, len(parts))
         if collide and len(rows) > LARGEST:
             part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))
@@ -281,7 +281,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         if part.chosen is None:
             complete = False
         else:
-            chosen[options.own[part.chosen]] = part.chosen
+            chosen[options.owner[part.chosen]] = part.chosen
         n_parts, n_programs, least = n_parts + 1, n_programs + part.n_programs, least + part.least
         integers |= part.integral and part.n_programs > 0
     meta = {
@@ -334,13 +334,13 @@ def _parts(candidates, rows):
     same = np.flatnonzero(options.target[real[:-1]] == options.target[real[1:]])
     label = np.arange(len(options.start) - 1)
     for first, second in (edges, (real[same], real[same + 1])):
-        conflicts.join(options.own[first], options.own[second], label)
+        conflicts.join(options.owner[first], options.owner[second], label)
     # Small parts are combined in the order of their labels.
-    members = np.unique(options.own[rows])
+    members = np.unique(options.owner[rows])
     names, size = np.unique(label[members], return_counts=True)
     batch = np.zeros(len(label), dtype=np.int64)
     batch[names] = np.concatenate([[0], np.cumsum(size)[:-1]]) // SMALLEST
-    of_row, of_edge = batch[label[options.own[rows]]], batch[label[options.own[edges[0]]]]
+    of_row, of_edge = batch[label[options.owner[rows]]], batch[label[options.owner[edges[0]]]]
     used = np.unique(of_row)
     for b in used:
         yield rows[of_row == b], edges[:, of_edge == b] if len(used) > 1 else edges

@@ -18,7 +18,7 @@ N_TRIALS, N_KEPT = 64, 4
 class Sky(NamedTuple):
     """Sky positions, each for one positioner and one fiber type."""
 
-    own: np.ndarray
+    owner: np.ndarray
     points: np.ndarray
     wanted: np.ndarray
     stuck: np.ndarray

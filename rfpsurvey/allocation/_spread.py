@@ -81,7 +81,7 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
             meta |= {"model": "integer program", "n_programs": solution.n_programs}
             if solution.chosen is not None:
                 chosen = chosen.copy()
-                chosen[candidates.options.own[solution.chosen]] = solution.chosen
+                chosen[candidates.options.owner[solution.chosen]] = solution.chosen
             if whole and not candidates.preselection.n_left_out:
                 known.append((solution.values, solution.bounds))
                 least = solution.least if (solution.values >= solution.bounds).all() else 0.0

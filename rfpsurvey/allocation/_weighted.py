@@ -60,10 +60,10 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
             most.append(-1.0 * required[planned].sum())
     n_counts, usable = len(rows), np.ones(len(candidates), dtype=bool)
     for rule, science, near in candidates.spreads:
-        kept = near & (options.target == planned[options.own])
+        kept = near & (options.target == planned[options.owner])
         is_kept = np.zeros(len(planned), dtype=bool)
-        is_kept[options.own[kept]] = True
-        usable &= ~is_kept[options.own] | kept
+        is_kept[options.owner[kept]] = True
+        usable &= ~is_kept[options.owner] | kept
         first = pairs_within(problem.xy, problem.xy[np.unique(options.target[kept])], rule.distance_mm)[0]
         served = np.bincount(first, minlength=len(problem.xy)) >= rule.k
         rows.append(np.where(science, rule.percent / 100 - np.append(served, False)[options.target], 0.0))
@@ -154,7 +154,7 @@ def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndar
     TileCandidates
         The candidates, in which the copies follow the originals of each positioner.
     """
-    problem, owner, n = candidates.problem, candidates.options.own, len(candidates)
+    problem, owner, n = candidates.problem, candidates.options.owner, len(candidates)
     several = problem.science & (problem.kind != "science")
     rows = np.flatnonzero(np.append(several, False)[listed.target])
     if len(rows) == 0:
@@ -300,7 +300,7 @@ class RowPrices(Prices):
 
     def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray, n_least: int = 0):
         self.start, self.matrix, self.most, self.free = start, matrix, most, free
-        self.own = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        self.owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
         self.indptr, self.column = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
         self.price = np.zeros(len(most))
         is_least = np.arange(len(most)) >= len(most) - n_least
