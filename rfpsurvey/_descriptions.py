@@ -19,55 +19,25 @@ COPIED = "copied from the catalog"
 
 @dataclass(frozen=True)
 class Column:
-    """The description of a column of a table.
-
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-    text : str
-        Description of the values.
-    unit : str, optional
-        Unit of the values.
-    value : callable, optional
-        Function of an object from which `make_table` makes the table. The function returns the values, or None if the
-        table does not have the column.
-    """
+    """The description of a column of a table."""
 
     name: str
     text: str
     unit: str = ""
+    # function of the object of which `make_table` makes a table; it returns None if the table lacks the column
     value: Callable | None = None
 
 
 @dataclass(frozen=True)
 class Fact:
-    """The description of a number of a summary, which reports and printed summaries show.
-
-    Parameters
-    ----------
-    name : str
-        Name of the number in the summary.
-    label : str
-        Text that is shown with the number.
-    of : str, optional
-        Name of another number, of which this number is a detail. Details are indented, and are below this number.
-    value : callable, optional
-        Function of an object from which the summary is made. The function returns the number, or None if the summary
-        does not contain it.
-    shown : callable, optional
-        Function of the summary that returns what is shown in place of the number: a number, text, None to show nothing,
-        or a dict of labels and values.
-    zero : bool, optional
-        Whether the number is shown if it is 0.
-    """
+    """The description of a number of a summary, which reports and printed summaries show."""
 
     name: str
     label: str = ""
-    of: str = ""
-    value: Callable | None = None
-    shown: Callable | None = None
-    zero: bool = False
+    of: str = ""  # name of another number, of which this number is a detail; details are indented, and are below it
+    value: Callable | None = None  # function of the object; it returns None if the summary lacks the number
+    shown: Callable | None = None  # function of the summary: number, text or dict of labels and values to show, or None
+    zero: bool = False  # whether the number is shown if it is 0
 
 
 def facts_of(facts: Iterable[Fact], summary: Mapping) -> dict[str, object]:

@@ -243,10 +243,8 @@ class FitsRows(NamedTuple):
     """A table that is written to a FITS file in parts, so that only one part is in memory at a time."""
 
     dtype: np.dtype
-    cards: dict
-    """Cards of the header: a dictionary of names to values, or to tuples of a value and a comment."""
-    parts: Iterable[np.ndarray]
-    """Parts of the table; each part contains some of the rows."""
+    cards: dict  # cards of the header: a dictionary of names to values, or to tuples of a value and a comment
+    parts: Iterable[np.ndarray]  # parts of the table; each part contains some of the rows
 
 
 def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:

@@ -16,10 +16,8 @@ class Method:
 
     name: str
     function: Callable
-    options: Collection[str] | None = ()
-    """Names of the options that the method uses, without those that all methods use; None if it may use any option."""
-    summary: str = ""
-    """A few words for the help of a command; empty if the name is clear."""
+    options: Collection[str] | None = ()  # names of the options that not all methods use; None if it may use any option
+    summary: str = ""  # a few words for the help of a command; empty if the name is clear
 
     def uses(self, option: str) -> bool:
         """Return whether the method may use an option."""

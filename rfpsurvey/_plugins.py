@@ -16,11 +16,9 @@ class Plugin:
     what: str
     name: str
     value: object
-    package: str = ""
-    """Name of the distribution that contains the plugin; empty text for a function that a user provides."""
+    package: str = ""  # name of the distribution of the plugin; empty for a function that a user provides
     version: str = ""
-    place: str = ""
-    """Module and name of the object in the package, as stated by the entry point."""
+    place: str = ""  # module and name of the object in the package, as stated by the entry point
 
     def __str__(self):
         origin = f" of {self.package} {self.version} ({self.place})" if self.package else ""

@@ -42,35 +42,23 @@ DIGITS = 13
 class Option:
     """The description of an option, apart from its type, its unit and its help."""
 
+    # limits of a number, or of a quantity in the unit of the annotation; ``low`` and ``high`` are valid values, and are
+    # the only limits of whole numbers, whose ``low`` is 1 by default
     above: float | None = None
     low: float | None = None
     below: float | None = None
     high: float | None = None
-    """Limits of a number, or of a quantity in the unit of the annotation; ``low`` and ``high`` are valid values.
-
-    Whole numbers have only the limits ``low``, which is 1 by default, and ``high``.
-    """
     choices: Collection[str] = ()
-    what: str = ""
-    """Name of the option in error messages; by default, the name of its field."""
-    words: str = ""
-    """Text that states which values are valid, for error messages about objects of other types."""
-    convert: Callable | None = None
-    """Function that checks and converts a value, in place of all other checks except for the limits of a quantity."""
-    record: str | None = ""
-    """Name in records; by default, the name of the field with the unit. None if records do not contain the option."""
-    unit: u.UnitBase | None = None
-    """Unit of the number in records, if it differs from the unit of the annotation."""
-    to_record: Callable | str | None = None
-    """Function that converts a value to the value in records, or the name of an attribute with this value."""
-    from_record: Callable | None = None
-    """Function that converts the value in records back."""
-    by_record: bool = False
-    """Whether values are equal if their values in records are equal, although ``to_record`` converts them."""
-    sparse: bool = False
-    """Whether records omit the default value."""
-    text: str = ""
-    """Text for readers who do not know the name of the option; ``{:g}`` stands for the number."""
+    what: str = ""  # name of the option in error messages; by default, the name of its field
+    words: str = ""  # text that states which values are valid, for error messages about objects of other types
+    convert: Callable | None = None  # checks and converts a value, in place of all checks but limits of quantities
+    record: str | None = ""  # name in records, by default that of the field with the unit; None: not in records
+    unit: u.UnitBase | None = None  # unit of the number in records, if it differs from the unit of the annotation
+    to_record: Callable | str | None = None  # function, or name of the attribute, that gives the value in records
+    from_record: Callable | None = None  # function that converts the value in records back
+    by_record: bool = False  # whether values are compared as in records, after ``to_record``
+    sparse: bool = False  # whether records omit the default value
+    text: str = ""  # text for readers who do not know the name of the option; ``{:g}`` stands for the number
 
     def contains(self, number: float) -> bool:
         """Return whether a number is finite and within the limits."""
@@ -132,8 +120,7 @@ class OptionField:
     default: object
     compare: bool
     option: Option
-    named: str
-    """Name in error messages."""
+    named: str  # name in error messages
 
     @cached_property
     def kinds(self) -> dict[type, tuple]:

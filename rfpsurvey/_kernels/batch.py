@@ -22,10 +22,8 @@ class CollisionSetup(NamedTuple):
     length: float
     cosine: np.ndarray
     sine: np.ndarray
-    idle: np.ndarray
-    """Elbow and tip of each arm in the idle state, shape (4, n); NaN if the idle arm is not an obstacle."""
-    parked: np.ndarray
-    """Whether each positioner is counted even if it has no target."""
+    idle: np.ndarray  # elbow and tip of each arm in the idle state, shape (4, n); NaN if it is no obstacle
+    parked: np.ndarray  # whether each positioner is counted even if it has no target
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float

@@ -21,20 +21,14 @@ class Options(NamedTuple):
     start: np.ndarray
     owner: np.ndarray
     target: np.ndarray
-    rank: np.ndarray
-    """Class of each candidate; 0 is the most important."""
-    cost: np.ndarray
-    """Preference among candidates of equal rank; lower costs are better."""
-    key: np.ndarray
-    """Candidates that count toward the same requirements have the same key."""
-    as_good: np.ndarray
-    """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
+    rank: np.ndarray  # class of each candidate; 0 is the most important
+    cost: np.ndarray  # preference among candidates of equal rank; lower costs are better
+    key: np.ndarray  # candidates that count toward the same requirements have the same key
+    as_good: np.ndarray  # as_good[key[a], key[b]]: candidate a meets the requirements at least as well as b
     t_indptr: np.ndarray
-    t_candidate: np.ndarray
-    """Indices of candidates, sorted by target; the candidates of target t begin at ``t_indptr[t]``."""
+    t_candidate: np.ndarray  # candidates of each target, as compressed rows
     indptr: np.ndarray
-    excluded: np.ndarray
-    """Candidates that collide with each candidate; the list for candidate c begins at ``indptr[c]``."""
+    excluded: np.ndarray  # candidates that collide with each candidate, as compressed rows
 
 
 @kernel

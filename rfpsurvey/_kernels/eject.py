@@ -26,28 +26,20 @@ EQUAL = 1e-12
 class Goals(NamedTuple):
     """What counts in a plan in addition to the classes of the targets, for each candidate and each requirement."""
 
-    required: np.ndarray
-    """Whether each candidate observes a required target."""
-    worth: np.ndarray
-    """Subpriority of the science target of each candidate; 0 for other candidates."""
+    required: np.ndarray  # whether each candidate observes a required target
+    worth: np.ndarray  # subpriority of the science target of each candidate; 0 for other candidates
     indptr: np.ndarray
-    group: np.ndarray
-    """Requirements toward which each candidate counts, as compressed rows."""
-    least: np.ndarray
+    group: np.ndarray  # requirements toward which each candidate counts, as compressed rows
+    least: np.ndarray  # smallest number of candidates of each requirement
     most: np.ndarray
-    """Smallest and largest number of candidates of each requirement."""
     n_classes: int
-    all_first: bool
-    """Whether the number of science targets is more important than their classes."""
-    science: np.ndarray
-    near: np.ndarray
-    """Whether each candidate is a science fiber, or a neighbor, of each rule on the distribution of fibers."""
+    all_first: bool  # whether the number of science targets is more important than their classes
+    science: np.ndarray  # whether each candidate is a science fiber of each distribution rule
+    near: np.ndarray  # whether each candidate is a neighbor of each distribution rule
     close_indptr: np.ndarray
-    close: np.ndarray
-    """Targets within the distance of a rule from each target, as compressed rows, which begin at close_indptr[rule]."""
-    k: np.ndarray
-    percent: np.ndarray
-    """Number of neighbors of each rule, and percentage of the science fibers that need them."""
+    close: np.ndarray  # for each rule and target, the targets within the distance of the rule, as compressed rows
+    k: np.ndarray  # number of neighbors that each rule demands
+    percent: np.ndarray  # percentage of the science fibers that need these neighbors
 
 
 class Plan(NamedTuple):
@@ -56,31 +48,23 @@ class Plan(NamedTuple):
     chosen: np.ndarray
     blocked: np.ndarray
     holder: np.ndarray
-    count: np.ndarray
-    """Number of candidates of each requirement."""
-    n_near: np.ndarray
-    is_used: np.ndarray
-    """Number of neighbors of each target, and whether it is observed as a science target, for each rule."""
-    n_science: np.ndarray
-    n_served: np.ndarray
-    """Number of science fibers of each rule, and of those that have enough neighbors."""
+    count: np.ndarray  # number of candidates of each requirement
+    n_near: np.ndarray  # number of neighbors of each target, for each rule
+    is_used: np.ndarray  # whether each target is observed as a science target, for each rule
+    n_science: np.ndarray  # number of science fibers of each rule
+    n_served: np.ndarray  # number of these science fibers that have enough neighbors
 
 
 class Move(NamedTuple):
     """The steps of a move, the changes that they make, and the positioners that block the new candidate."""
 
-    n: np.ndarray
-    """Number of steps, shape (1,)."""
+    n: np.ndarray  # number of steps, shape (1,)
     owner: np.ndarray
-    before: np.ndarray
-    """Positioner of each step, and its candidate before the step."""
+    before: np.ndarray  # candidate of the positioner of each step before the step
+    # changes of: -excess over maxima, required targets, -lack, science targets, sum of subpriorities, sum of costs
     sums: np.ndarray
-    """Changes of: excess over maxima (negative), required targets, lack (negative), science targets, subpriorities,
-    and the sum of the costs."""
-    ranks: np.ndarray
-    """Number of changed classes, followed by these classes."""
-    net: np.ndarray
-    """Change of the number of targets of each class."""
+    ranks: np.ndarray  # number of changed classes, followed by these classes
+    net: np.ndarray  # change of the number of targets of each class
     blockers: np.ndarray
 
 

@@ -32,21 +32,15 @@ class Moves(NamedTuple):
     the distance ``length``.
     """
 
-    x: np.ndarray
+    x: np.ndarray  # position of the elbow, mm
     y: np.ndarray
-    """Position of the elbow, mm."""
-    angle: np.ndarray
-    """Direction of the segment at the target, in radians."""
-    turn: np.ndarray
-    """Angle from this direction to the direction of the folded arm, in radians; 0 for arms that do not move."""
+    angle: np.ndarray  # direction of the segment at the target, in radians
+    turn: np.ndarray  # angle from there to the direction of the folded arm, in radians; 0 for arms that do not move
     inner: np.ndarray
     length: np.ndarray
-    reach: np.ndarray
-    """Largest distance of a part of the eccentric arm from the elbow, mm."""
-    circle: np.ndarray
-    """Center and radius of a circle that contains all points of the arm during the motion, shape (3, n)."""
-    sector: np.ndarray
-    """Direction of the axis of the sector that the arm sweeps, and cosine and sine of half its angle, shape (4, n)."""
+    reach: np.ndarray  # largest distance of a part of the eccentric arm from the elbow, mm
+    circle: np.ndarray  # center and radius of a circle that contains the arm during the motion, shape (3, n)
+    sector: np.ndarray  # direction of the axis of the swept sector, cosine and sine of half its angle, shape (4, n)
 
 
 @kernel

@@ -38,30 +38,19 @@ RADIUS, MX, MY, MR, START = range(5)
 class Outline(NamedTuple):
     """The outline that all positioners have, in mm; if it has no parts, the arms are capsules."""
 
+    # a column for each vertex, with the rows X to LENGTH, then a column for each part, with the rows RADIUS to START;
+    # all data are in one array, because numba counts references to each array that is passed to a function
     table: np.ndarray
-    """Table with a column for each vertex, followed by a column for each part.
-
-    The rows are X to LENGTH for a vertex, and RADIUS to START for a part. All data are in one array, because
-    numba counts references to each array that is passed to a function.
-    """
-    start: np.ndarray
-    """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
+    start: np.ndarray  # vertices of part p are start[p]:start[p + 1]; an array of one element: there is no outline
     n_vertices: int
-    """Number of vertices."""
-    n_eccentric: int
-    """Number of parts that move with the eccentric arm; all later parts move with the central arm."""
-    offset: float
-    """Largest possible difference between the distance of two cores and the gap of the two outlines."""
-    inverse_length: float
-    """Inverse of the length of the core, which is a segment along the eccentric arm."""
-    scale: float
-    """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
+    n_eccentric: int  # number of parts that move with the eccentric arm; all later parts move with the central arm
+    offset: float  # largest possible difference between the distance of two cores and the gap of the two outlines
+    inverse_length: float  # inverse of the length of the core, which is a segment along the eccentric arm
+    scale: float  # twice the largest distance of a vertex from the origin of its frame, plus the offset
+    # rectangles that contain the eccentric and the central parts: center and half the lengths of the sides
     eccentric_box: tuple[float, float, float, float]
-    """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
-    """Center and half the lengths of the sides of a rectangle that contains the central parts."""
-    centers: np.ndarray
-    """Centers of all positioners, and the inverse length of the central arm, shape (n, 3)."""
+    centers: np.ndarray  # centers of all positioners, and the inverse length of the central arm, shape (n, 3)
 
     @property
     def parts(self) -> np.ndarray:
@@ -85,10 +74,8 @@ NO_OUTLINE = Outline(
 class Polygons(NamedTuple):
     """Convex polygons of the focal plane that no arm may touch."""
 
-    table: np.ndarray
-    """Table with a column for each vertex of the outline of the arms, followed by the vertices of the polygons."""
-    start: np.ndarray
-    """Polygon k has the columns ``start[k]:start[k + 1]``; an array with one element means that there is no polygon."""
+    table: np.ndarray  # a column for each vertex of the outline of the arms, then for each vertex of the polygons
+    start: np.ndarray  # columns of polygon k are start[k]:start[k + 1]; an array of one element: there is no polygon
 
 
 NO_POLYGONS = Polygons(_nothing(5, 0), _nothing(1, dtype=np.int64))

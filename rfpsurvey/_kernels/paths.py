@@ -19,24 +19,17 @@ TOLERANCE = 1e-6
 class Links(NamedTuple):
     """The candidates of all positioners."""
 
-    owner: np.ndarray
-    """Positioner of each candidate."""
-    target: np.ndarray
-    """Target of each candidate, or -1 if its visits do not count, as those of an idle arm or of a sky position."""
-    rank: np.ndarray
-    """Class of the target of each candidate; smaller numbers are more important."""
+    owner: np.ndarray  # positioner of each candidate
+    target: np.ndarray  # -1 if its visits do not count, as those of an idle arm or of a sky position
+    rank: np.ndarray  # class of the target of each candidate; smaller numbers are more important
     t_indptr: np.ndarray
-    t_candidate: np.ndarray
-    """Candidates of each target, as compressed rows."""
+    t_candidate: np.ndarray  # candidates of each target, as compressed rows
     indptr: np.ndarray
-    clique: np.ndarray
-    """Cliques of each candidate, as compressed rows; a plan uses at most one candidate of each clique."""
+    clique: np.ndarray  # cliques of each candidate, as compressed rows; a plan uses at most one candidate of each
     r_indptr: np.ndarray
     rule: np.ndarray
-    share: np.ndarray
-    """Rules of each candidate, as compressed rows, and the number that the candidate adds to the sum of each rule."""
-    room: np.ndarray
-    """For each rule, its limit minus its sum over the candidates in use."""
+    share: np.ndarray  # rules of each candidate, as compressed rows, and its share in the sum of each rule
+    room: np.ndarray  # for each rule, its limit minus its sum over the candidates in use
 
 
 @kernel

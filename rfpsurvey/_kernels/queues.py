@@ -33,27 +33,19 @@ class Entries(NamedTuple):
     segments: np.ndarray
     halves: np.ndarray
     weight: np.ndarray
-    total: np.ndarray
-    """Sum of the weights of the entries of each queue."""
-    free: np.ndarray
-    """Probability that the pose of an entry does not collide, under the condition that the entry is in use."""
-    hit: np.ndarray
-    """For each entry, the sum of the weights of the entries of one neighbor that collide with it; work array."""
-    ahead: np.ndarray
-    """Coordinate of the extreme point of each entry along the line between the centers of two positioners."""
+    total: np.ndarray  # sum of the weights of the entries of each queue
+    free: np.ndarray  # probability that the pose of an entry does not collide if the entry is in use
+    hit: np.ndarray  # sum of the weights of the entries of one neighbor that collide with each entry; work array
+    ahead: np.ndarray  # coordinate of the extreme point of each entry along the line between two centers
 
 
 class Expected(NamedTuple):
     """Arrays to which kernels write probabilities, and to which they add the values of all realizations."""
 
-    probability: np.ndarray
-    """Collision probability of each positioner in the last realization."""
-    pair_probability: np.ndarray
-    """Collision probability of each pair of neighbors in the last realization."""
-    times: np.ndarray
-    """For each positioner, the sum of its collision probabilities in the realizations in which it is counted."""
-    counted: np.ndarray
-    """For each positioner, the number of realizations in which it is counted."""
+    probability: np.ndarray  # collision probability of each positioner in the last realization
+    pair_probability: np.ndarray  # collision probability of each pair of neighbors in the last realization
+    times: np.ndarray  # for each positioner, the sum of its collision probabilities while it is counted
+    counted: np.ndarray  # for each positioner, the number of realizations in which it is counted
 
 
 @kernel

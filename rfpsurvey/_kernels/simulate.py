@@ -38,8 +38,7 @@ class Realization(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     accepts: np.ndarray
-    targets: np.ndarray
-    """Row of each target: 0, 1, 2, and so on."""
+    targets: np.ndarray  # row of each target: 0, 1, 2, and so on
     indptr: np.ndarray
     owner: np.ndarray
     r2: np.ndarray
@@ -48,8 +47,7 @@ class Realization(NamedTuple):
     length: np.ndarray
     queues: np.ndarray
     queue: np.ndarray
-    cells: np.ndarray
-    """Grid that `scatter_apart` uses, shape (2, n)."""
+    cells: np.ndarray  # grid that `scatter_apart` uses, shape (2, n)
 
 
 @kernel

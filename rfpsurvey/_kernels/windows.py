@@ -21,36 +21,24 @@ MOST_REMOVED = 6
 class Dates(NamedTuple):
     """The cadences of targets, and the times of tiles; tiles are in the order of time."""
 
-    cadence: np.ndarray
-    """Cadence of each target."""
-    e_indptr: np.ndarray
-    low: np.ndarray
+    cadence: np.ndarray  # of each target
+    e_indptr: np.ndarray  # first epoch of each cadence
+    low: np.ndarray  # limits of the time since the previous epoch, for each epoch
     high: np.ndarray
-    n: np.ndarray
-    limit: np.ndarray
-    """Limits of the time since the previous epoch, number of exposures and largest brightness of each epoch.
-
-    ``e_indptr`` is the first epoch of each cadence.
-    """
+    n: np.ndarray  # number of exposures of each epoch
+    limit: np.ndarray  # largest brightness of each epoch
     p_indptr: np.ndarray
-    p_tile: np.ndarray
-    """Tiles of the places of each target, as compressed rows."""
+    p_tile: np.ndarray  # tiles of the places of each target, as compressed rows
     c_indptr: np.ndarray
-    candidate: np.ndarray
-    """Candidates of each place, as compressed rows."""
+    candidate: np.ndarray  # candidates of each place, as compressed rows
     k_indptr: np.ndarray
-    member: np.ndarray
-    """Candidates of each clique, as compressed rows."""
-    usable: np.ndarray
-    """Whether moves may use each candidate."""
-    idle: np.ndarray
-    """Idle candidate of each positioner."""
-    rank: np.ndarray
-    """Class of each target."""
+    member: np.ndarray  # candidates of each clique, as compressed rows
+    usable: np.ndarray  # whether moves may use each candidate
+    idle: np.ndarray  # idle candidate of each positioner
+    rank: np.ndarray  # class of each target
     day: np.ndarray
     brightness: np.ndarray
-    night: float
-    """Largest time between the exposures of an epoch."""
+    night: float  # largest time between the exposures of an epoch
 
 
 class Work(NamedTuple):

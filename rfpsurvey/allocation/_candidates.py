@@ -31,19 +31,11 @@ class Candidates:
 
     problem: AllocationProblem
     options: conflicts.Options
-    side: np.ndarray
-    """Elbow of each candidate: +1 is right, -1 is left."""
-    pairs: np.ndarray
-    """Pairs of candidates that collide, shape (2, m)."""
-    held: np.ndarray
-    """Whether each candidate counts toward each requirement, shape (n_groups, n).
-
-    A requirement per spectrograph has one row for each spectrograph.
-    """
-    preselection: Preselection
-    """Reachable pairs (positioner, target) from which the candidates were made; `preselect` may have omitted pairs."""
-    idle_pairs: np.ndarray | None = None
-    """Pairs of positioners whose idle arms collide, shape (2, m); None if the pairs were not computed."""
+    side: np.ndarray  # elbow of each candidate: +1 is right, -1 is left
+    pairs: np.ndarray  # pairs of candidates that collide, shape (2, m)
+    held: np.ndarray  # whether each candidate counts toward each group of requirements, shape (n_groups, n)
+    preselection: Preselection  # reachable pairs that the candidates are made from; some may be omitted
+    idle_pairs: np.ndarray | None = None  # positioners whose idle arms collide, shape (2, m); None if unknown
 
     def __len__(self):
         return len(self.side)

@@ -17,10 +17,8 @@ class Spread(NamedTuple):
     """The candidates that a rule on the distribution of fibers concerns."""
 
     rule: Distribution
-    science: np.ndarray
-    """Whether each candidate is a science fiber of the rule."""
-    near: np.ndarray
-    """Whether each candidate can be a neighbor of a science fiber."""
+    science: np.ndarray  # whether each candidate is a science fiber of the rule
+    near: np.ndarray  # whether each candidate can be a neighbor of a science fiber
 
 
 def members(problem, rule: Distribution, what: str, owner: np.ndarray, target: np.ndarray) -> np.ndarray:

@@ -24,15 +24,12 @@ FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 class Solution(NamedTuple):
     """The plan of some positioners: the candidate of each positioner, and the value and bound of each objective."""
 
-    chosen: np.ndarray | None
-    """Candidates in use; None if no plan was found within the time limit."""
+    chosen: np.ndarray | None  # candidates in use; None if no plan was found within the time limit
     values: np.ndarray
     bounds: np.ndarray
     n_programs: int
-    integral: bool
-    """Whether an integer program had to be solved."""
-    least: float = 0.0
-    """Lower bound of the cost of all plans that reach the bounds of all objectives; costs are not negative."""
+    integral: bool  # whether an integer program had to be solved
+    least: float = 0.0  # lower bound of the cost of all plans that reach all bounds; costs are not negative
 
 
 class _Pursuit:

@@ -27,13 +27,11 @@ LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 class Found(NamedTuple):
     """The result of a search."""
 
-    chosen: np.ndarray | None
-    """Candidate that each positioner uses; None if no plan was found within the time limit."""
+    chosen: np.ndarray | None  # candidate that each positioner uses; None if no plan was found within the time limit
     values: np.ndarray
     bounds: np.ndarray
     meta: dict
-    least: float = 0.0
-    """Lower bound of the cost, as in `Solution`."""
+    least: float = 0.0  # lower bound of the cost, as in `Solution`
 
 
 def values_of(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:

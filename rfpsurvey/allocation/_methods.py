@@ -27,28 +27,17 @@ LEVELS = {"exactly": EXACTLY, "goal": AS_GOAL, "no": ONLY_CHECKED}
 class Allocator(Method):
     """An allocator, and the properties of its plans; the default values are those of a function without a record."""
 
-    avoids_collisions: bool = False
-    """Whether no arm with a target collides with another arm or an obstacle."""
-    searches: bool = False
-    """Whether a search, which ends at the time limit at the latest, proves that no other plan is better."""
-    counts: str = "no"
-    """Whether the plan meets minimum and maximum numbers of targets ``exactly``, as a ``goal``, or not (``no``)."""
-    distribution: str = "no"
-    """Whether the plan follows rules on the distribution of fibers ``exactly``, as a ``goal``, or not (``no``)."""
-    makes_queues: bool = False
-    """Whether the allocator makes a queue of targets for each positioner."""
-    uses_priorities: bool = True
-    """Whether targets with a larger priority are more important."""
-    breaks_ties: bool = False
-    """Whether targets are sorted by a hash before the search, so that their order has no influence."""
-    plans_jointly: bool = False
-    """Whether a joint plan of a survey can replace the allocator."""
-    keeps_plan: bool = False
-    """Whether the allocator changes as few fibers of a given plan as possible."""
-    is_random: bool = False
-    """Whether plans without subpriorities are random."""
-    rule: Callable | None = None
-    """Rule that plans a tile for many realizations of a survey; None if each realization is a complete survey."""
+    avoids_collisions: bool = False  # whether no arm with a target collides with another arm or an obstacle
+    searches: bool = False  # whether a search, which ends at the time limit, proves that no plan is better
+    counts: str = "no"  # whether the plan meets requirements ``exactly``, as a ``goal``, or not (``no``)
+    distribution: str = "no"  # the same for rules on the distribution of fibers
+    makes_queues: bool = False  # whether the allocator makes a queue of targets for each positioner
+    uses_priorities: bool = True  # whether targets with a larger priority are more important
+    breaks_ties: bool = False  # whether targets are sorted by a hash first, so that their order has no influence
+    plans_jointly: bool = False  # whether a joint plan of a survey can replace the allocator
+    keeps_plan: bool = False  # whether the allocator changes as few fibers of a given plan as possible
+    is_random: bool = False  # whether plans without subpriorities are random
+    rule: Callable | None = None  # plans many realizations of a survey; None if each is a complete survey
 
     def __post_init__(self):
         for name in ("avoids_collisions", "searches", "makes_queues", "uses_priorities"):

@@ -40,10 +40,8 @@ class Preselection(NamedTuple):
     """The reachable pairs (positioner, target) that remain after the preselection."""
 
     reach: Reach
-    code: np.ndarray
-    """Code of each target; targets that count toward the same requirements have the same code."""
-    shortened: np.ndarray
-    """Whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)."""
+    code: np.ndarray  # code of each target; targets that count toward the same requirements have the same code
+    shortened: np.ndarray  # whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)
     n_left_out: int
 
 

@@ -21,8 +21,7 @@ class Sky(NamedTuple):
     owner: np.ndarray
     points: np.ndarray
     wanted: np.ndarray
-    stuck: np.ndarray
-    """Whether the position is observed by a stuck fiber."""
+    stuck: np.ndarray  # whether the position is observed by a stuck fiber
 
 
 def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:

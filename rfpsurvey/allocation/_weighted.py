@@ -23,14 +23,10 @@ from rfpsurvey.focal_plane import elbow_names
 class TileRules(NamedTuple):
     """Linear constraints on the plan of a tile: the sum over the candidates in use of each row is at most a number."""
 
-    matrix: csr_array
-    """Matrix with a row for each constraint and a column for each candidate."""
-    most: np.ndarray
-    """Largest sum of each row; minima have the opposite sign."""
-    is_count: np.ndarray
-    """Whether each row counts candidates, so that all its elements are 1 or -1."""
-    usable: np.ndarray
-    """Whether each candidate may be used. Neighbors that rules on the distribution count in the given plan are kept."""
+    matrix: csr_array  # matrix with a row for each constraint and a column for each candidate
+    most: np.ndarray  # largest sum of each row; minima have the opposite sign
+    is_count: np.ndarray  # whether each row counts candidates, so that all its elements are 1 or -1
+    usable: np.ndarray  # whether each candidate may be used; neighbors that rules count in the given plan are kept
 
 
 def no_rules(n: int) -> TileRules:
@@ -81,21 +77,14 @@ SAME_MM = 1e-3
 class TileCandidates(NamedTuple):
     """The candidates of the positioners of one tile; the last candidate of each positioner is its idle arm."""
 
-    start: np.ndarray
-    """Index of the first candidate of each positioner, followed by the total number of candidates."""
-    target: np.ndarray
-    """Row of the target of each candidate; -1 for idle arms."""
-    side: np.ndarray
-    """Elbow of each candidate: +1 is right, -1 is left."""
+    start: np.ndarray  # index of the first candidate of each positioner, followed by the total number of candidates
+    target: np.ndarray  # row of the target of each candidate; -1 for idle arms
+    side: np.ndarray  # elbow of each candidate: +1 is right, -1 is left
     indptr: np.ndarray
-    column: np.ndarray
-    """Cliques as compressed rows (``indptr``, ``column``): a plan uses at most one candidate of each clique."""
-    shortened: np.ndarray
-    """Whether some candidates of each positioner were omitted."""
-    pairs: tuple[np.ndarray, np.ndarray]
-    """Positioner and target of each reachable pair."""
-    rules: TileRules
-    """Requirements, required standards and sky positions, and rules on the distribution of fibers."""
+    column: np.ndarray  # cliques as compressed rows (``indptr``, ``column``): a plan uses at most one of each
+    shortened: np.ndarray  # whether some candidates of each positioner were omitted
+    pairs: tuple[np.ndarray, np.ndarray]  # positioner and target of each reachable pair
+    rules: TileRules  # requirements, required standards and sky positions, and rules on the distribution of fibers
 
 
 class ListCandidates:
@@ -229,21 +218,14 @@ class WeightedProblem(NamedTuple):
     In addition, a plan may use at most a given number of the candidates of each set.
     """
 
-    start: np.ndarray
-    """Index of the first candidate of each positioner, followed by the total number of candidates."""
+    start: np.ndarray  # index of the first candidate of each positioner, followed by the total number of candidates
     weight: np.ndarray
-    sets: csr_array
-    """Matrix with a row for each set, usually of ones, and a column for each candidate."""
-    most: np.ndarray
-    """Largest sum of the elements of each row over the candidates that a plan uses."""
-    first: np.ndarray | None
-    """Candidate of each positioner in the plan from which the search starts; None if there is no such plan."""
-    nodes: int
-    """Largest number of nodes of the search tree."""
-    gap: float
-    """Allowed relative error of the largest sum of the weights."""
-    deadline: float
-    """Value of `time.time` at which the search ends; all processes share this clock."""
+    sets: csr_array  # matrix with a row for each set, usually of ones, and a column for each candidate
+    most: np.ndarray  # largest sum of the elements of each row over the candidates that a plan uses
+    first: np.ndarray | None  # candidate of each positioner in the plan from which the search starts, if any
+    nodes: int  # largest number of nodes of the search tree
+    gap: float  # allowed relative error of the largest sum of the weights
+    deadline: float  # value of `time.time` at which the search ends; all processes share this clock
 
 
 def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:

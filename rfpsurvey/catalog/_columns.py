@@ -66,22 +66,15 @@ class Finder:
     """Finds the columns of a table that have a given role, such as ``ra`` or ``priority``."""
 
     table: Table
-    columns: dict = field(default_factory=dict)
-    """Column name for each role, used instead of the common names; a leading minus reverses the sign of the numbers."""
-    units: dict = field(default_factory=dict)
-    """Units of the columns that have no unit in the table; the keys are the roles of the columns."""
-    assume_units: bool = False
-    """Whether columns without a unit are assumed to have the default unit (for formats that cannot contain units)."""
-    fill: dict = field(default_factory=dict)
-    """For each role, the value that replaces missing values."""
-    assumed: dict = field(default_factory=dict, init=False)
-    """Default units of the columns whose unit was assumed; the keys are the roles of the columns."""
-    remarks: dict = field(default_factory=dict, init=False)
-    """Text about columns that the statement on the columns includes; the keys are the roles of the columns."""
-    format: SurveyFormat | None = field(default=None, init=False)
-    """Format of the table, if the table has the columns of a known survey."""
-    given: frozenset = field(default=frozenset(), init=False)
-    """Roles whose columns are given by ``columns``."""
+    # the keys of all dictionaries are roles
+    columns: dict = field(default_factory=dict)  # column names; a leading minus reverses the sign of the numbers
+    units: dict = field(default_factory=dict)  # units of the columns that have no unit in the table
+    assume_units: bool = False  # whether columns without a unit have the default unit, as in formats without units
+    fill: dict = field(default_factory=dict)  # values that replace missing values
+    assumed: dict = field(default_factory=dict, init=False)  # default units of the columns whose unit was assumed
+    remarks: dict = field(default_factory=dict, init=False)  # text that the statement on the columns includes
+    format: SurveyFormat | None = field(default=None, init=False)  # of the table, if it is that of a known survey
+    given: frozenset = field(default=frozenset(), init=False)  # roles whose columns are given by ``columns``
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):

@@ -43,22 +43,14 @@ class SurveyFormat(NamedTuple):
     """The format of a target table of a survey."""
 
     name: str
-    columns: dict
-    """Name of the column with each role; a leading minus reverses the sign of its numbers."""
-    bits: str | None = None
-    """Name of the column ``DESI_TARGET``, whose bits state the kind of each target."""
-    stars: str | None = None
-    """Name of the column ``MWS_TARGET``, whose bits state further standard stars."""
-    marks: tuple = ()
-    """Names of the columns by which the format is recognized, or that are read, besides the columns with a role."""
-    times: bool = False
-    """Whether the column of visits contains exposure times."""
-    exposure: str = ""
-    """Name of the column with the time of one exposure."""
-    mode: str = ""
-    """Name of the column that must have one value, because targets with different values cannot share a tile."""
-    doubt: str = ""
-    """Text of a warning, if a column of the format is missing."""
+    columns: dict  # name of the column with each role; a leading minus reverses the sign of its numbers
+    bits: str | None = None  # name of the column ``DESI_TARGET``, whose bits state the kind of each target
+    stars: str | None = None  # name of the column ``MWS_TARGET``, whose bits state further standard stars
+    marks: tuple = ()  # names of further columns by which the format is recognized, or that are read
+    times: bool = False  # whether the column of visits contains exposure times
+    exposure: str = ""  # name of the column with the time of one exposure
+    mode: str = ""  # name of the column whose values must be equal, because its targets cannot share a tile
+    doubt: str = ""  # text of a warning, if a column of the format is missing
 
 
 def find_format(names: Iterable[str]) -> SurveyFormat | None:

@@ -20,22 +20,15 @@ class Arms:
     An arm is absent if its positioner can move, has no target, and is not a parked obstacle.
     """
 
-    find_angles: Callable[[], np.ndarray] | None
-    """Function that returns the joint angles theta and phi, shape (2, n); called at the first use of the angles."""
+    find_angles: Callable[[], np.ndarray] | None  # joint angles theta and phi, shape (2, n); called at first use
     elbow: np.ndarray
     tip: np.ndarray
-    segments: np.ndarray
-    """Segments of the arms that can collide, as rows (x0, y0, x1, y1)."""
-    assigned: np.ndarray
-    """Whether each positioner has a target."""
-    parked: np.ndarray
-    """Whether each positioner is an obstacle: it is usable, has no target, and is parked or has a known pose."""
-    clipped: np.ndarray
-    """Whether the target of each positioner is out of reach, because of its distance or because of joint limits."""
-    fiber: np.ndarray | None = None
-    """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
-    recorded: np.ndarray | None = None
-    """Whether each positioner has no target and is in a known pose (``idle_angles``); None if no poses are known."""
+    segments: np.ndarray  # segments of the arms that can collide, as rows (x0, y0, x1, y1)
+    assigned: np.ndarray  # whether each positioner has a target
+    parked: np.ndarray  # whether each positioner is an obstacle: usable, without target, parked or in a known pose
+    clipped: np.ndarray  # whether the target of each positioner is out of reach, by distance or joint limits
+    fiber: np.ndarray | None = None  # index of the fiber type in use; None if all fibers are at one place
+    recorded: np.ndarray | None = None  # whether each positioner is idle in a known pose (``idle_angles``)
 
     @cached_property
     def _angles(self) -> np.ndarray:

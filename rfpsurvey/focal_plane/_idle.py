@@ -15,10 +15,8 @@ class Idle:
 
     theta: np.ndarray
     phi: np.ndarray
-    segments: np.ndarray
-    """Positions of elbows and fiber tips in mm, shape (4, n): x and y of the elbow, x and y of the tip."""
-    parked: np.ndarray
-    """Whether each positioner is usable and parked, and is thus an obstacle."""
+    segments: np.ndarray  # x and y of the elbow, x and y of the fiber tip in mm, shape (4, n)
+    parked: np.ndarray  # whether each positioner is usable and parked, and is thus an obstacle
 
     def at_angles(self, columns, angles: np.ndarray, *, obstacles: bool) -> "Idle":
         """Return these poses, replaced by joint angles in radians, shape (2, n), where these are not NaN.

@@ -20,8 +20,7 @@ NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
 class Kind:
     """The kind of value that an entry must have."""
 
-    what: str
-    """Text that follows "must be" in error messages."""
+    what: str  # text that follows "must be" in error messages
     fits: Callable[[object], bool]
     unit: u.UnitBase | None = None
 

@@ -52,8 +52,7 @@ class Row:
     state: str
     first: datetime
     end: datetime
-    pose: tuple[float, float] | None
-    """theta and phi in degrees."""
+    pose: tuple[float, float] | None  # theta and phi in degrees
 
 
 class States:
