@@ -38,8 +38,8 @@ class CollisionMethod(Method):
 
     supports_outlines: bool = False  # whether arms may have outlines
     device: str = "CPU"  # device that computes the distances
-    # number of configurations per task of `count_collisions`; 0 if the method cannot count many configurations; random
-    # draws depend on it, but not on the number of workers; for 4000 positioners, 2048 configurations on a GPU use 256 MB
+    # number of configurations per task of `count_collisions`; 0 if the method cannot count many of them; random draws
+    # depend on it, but not on the number of workers; for 4000 positioners, 2048 configurations on a GPU use 256 MB
     chunk: int = 0
     numbers_of_points: tuple[int, ...] = ()  # values of ``n_points`` that a benchmark measures; empty without points
 
