@@ -102,6 +102,7 @@ def add_neighbors(candidates, spread: Spread, deadline: float, now, blocked, hol
     in_use = np.bincount(at[np.isin(able, now)], minlength=len(place))
     n_near = close @ in_use
     while left(deadline) > 0 and (alive & (n_near >= rule.k)).sum() < rule.least(int(alive.sum())):
+        # a neighbor counts as a fraction of a fiber that lacks several neighbors
         weight = np.where(alive & (n_near < rule.k), 1.0 / np.maximum(rule.k - n_near, 1), 0.0)
         gain = (close.T @ weight)[at]
         some = np.flatnonzero(gain)

@@ -105,6 +105,7 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
         n, pairs = len(target_of), problem.pairs
         fits = indptr.shape == (n + 1,) and indptr[0] == 0 and indptr[-1] == len(queue) and (np.diff(indptr) >= 0).all()
         owner = np.repeat(np.arange(n), np.diff(indptr)) if fits else None
+        # pairs are compared as single numbers
         if not fits or not np.isin(queue * n + owner, pairs.target * n + pairs.owner).all():
             raise InputError(
                 f"queues must contain indptr, shape ({n + 1},), and the rows of targets that the positioners reach"

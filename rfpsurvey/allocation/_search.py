@@ -131,8 +131,8 @@ def decide(
     # The preselection for plans without collisions may omit targets of lower cost than those that it keeps.
     least = solution.least if whole and proven.all() and not (collide and n_left_out) else 0.0
     if used is not candidates and collide and candidates.idle_pairs.size:
-        solution = pick(candidates, used.options.target[chosen], used.side[chosen])
-        used, chosen = candidates, np.where(solution < 0, candidates.options.start[1:] - 1, solution)
+        picked = pick(candidates, used.options.target[chosen], used.side[chosen])
+        used, chosen = candidates, np.where(picked < 0, candidates.options.start[1:] - 1, picked)
     return answer_of(given, problem, used, chosen, repaired, kept, lambda _: bounds, least, meta)
 
 
@@ -209,6 +209,7 @@ def _refine(used, chosen, bounding, first, bounds, limits, deadline):
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
             offset = offset_of(problem)
+            # no more targets belong to the first classes than to these and further classes
             limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
     except OutOfTimeError:
         pass

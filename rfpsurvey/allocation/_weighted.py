@@ -62,6 +62,7 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
         usable &= ~is_kept[options.owner] | kept
         first = pairs_within(problem.xy, problem.xy[np.unique(options.target[kept])], rule.distance_mm)[0]
         served = np.bincount(first, minlength=len(problem.xy)) >= rule.k
+        # the sum is at most 0 if at least this percentage of the science fibers in use is served
         rows.append(np.where(science, rule.percent / 100 - np.append(served, False)[options.target], 0.0))
         most.append(0.0)
     if not rows:
@@ -133,7 +134,7 @@ def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndar
     ----------
     listed : TileCandidates
         The candidates.
-    found : Candidates
+    candidates : Candidates
         The same candidates, with their problem.
     planned : ndarray of int, shape (n_positioners,)
         The target of each positioner in the given plan (see `rules_of`).
@@ -153,7 +154,7 @@ def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndar
     rules, of_copies, is_idle = listed.rules, rules_of(copies, planned), np.zeros(n + len(rows), dtype=bool)
     is_idle[listed.start[1:] - 1] = True
     copied = np.concatenate([np.arange(n), rows])
-    order = np.lexsort((is_idle, owner[copied]))
+    order = np.lexsort((is_idle, owner[copied]))  # the idle arm remains the last candidate of its positioner
     copied, is_copy = copied[order], order >= n
     shape = len(listed.indptr) - 1, n
     cliques = csr_array((np.ones(len(listed.column)), listed.column, listed.indptr), shape=shape)[:, copied]
@@ -248,7 +249,7 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
         first = np.zeros(n)
         first[problem.first] = 1.0
     limits = {"gap": problem.gap, "first": first, "nodes": problem.nodes}
-    deadline = now() + problem.deadline - time()
+    deadline = now() + problem.deadline - time()  # on the clock of this process
     x, bound = choose_one_each(problem.start, problem.weight, sets, problem.most, deadline, **limits)
     if x is None:
         return None, bound
@@ -301,6 +302,7 @@ class RowPrices(Prices):
         float
             Upper bound of the total weight of any plan.
         """
+        # for any prices, no plan exceeds the cost of all limits plus the best priced candidate of each positioner
         total = float(self.price @ self.most)
         best = np.maximum.reduceat(self.values(weights), self.start[:-1])
         # an omitted candidate may belong to all sets of which a plan must use a number of candidates

@@ -251,6 +251,7 @@ def _cells(points, rows):
     """
     low = points.min(axis=1, initial=np.inf) if len(rows) else np.zeros(2)
     wide, high = np.ptp(points, axis=1) if len(rows) else np.ones(2)
+    # the second length limits the number of cells of points on a line, and the third that of equal points
     size = max(np.sqrt(wide * high / max(len(rows), 1)), max(wide, high) / (len(rows) + 1), 1e-6)
     nx, ny = int(wide / size) + 1, int(high / size) + 1
     column, row = np.minimum(((points - low[:, None]) / size).astype(int), [[nx - 1], [ny - 1]])

@@ -191,6 +191,7 @@ def _score_tips(columns, side, scorer, tips, start):
     if not is_free:
         side = np.array([columns.sides(row) if side is None else side[0] for row in points])
     counts, times, far = scorer(points, side)
+    # compiled code only counts the tips out of reach; the message names the first of them
     for c, row in enumerate(points if far or not is_free else ()):
         try:
             check_tips(columns, row, side[min(c, len(side) - 1)])

@@ -34,6 +34,7 @@ def find_moves(columns, owner, fiber, theta, phi, *, moving: np.ndarray | bool =
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
     angle, reach = theta + phi + offset, length if outline is None else np.full(len(owner), outline.reach[0])
     circle, sector = np.empty((3, len(owner))), np.empty((4, len(owner)))
+    # the sector of an outline is a full circle, because the parts on the central arm are outside the eccentric sector
     motion.enclose(x, y, angle, turn if outline is None else np.full(len(owner), 2 * np.pi), reach, circle, sector)
     if outline is not None:
         circle = _around_both(circle, geometry, outline.reach[1])
@@ -69,6 +70,7 @@ def _within_theta(columns, owner, theta):
     low, high = _limits(columns, owner, 0, "theta_range")
     zero = 0.0 if columns.joints is None else columns.joints.zeros(owner, columns.first_index[owner])[0]
     with np.errstate(invalid="ignore"):
+        # a rounding error at the lower limit must not add a full rotation
         return np.isinf(low) | (np.mod(theta - zero - low + 1e-9, 2 * np.pi) - 1e-9 <= high - low + 1e-9)
 
 
@@ -82,6 +84,7 @@ def _joint_phi(columns, owner, fiber, phi):
     """Return the joint angle phi for phi in the convention of the kernels; within the limits, if there are limits."""
     low, _, zero = phi_limits(columns, owner, fiber)
     with np.errstate(invalid="ignore"):
+        # a rounding error at the lower limit must not add a full rotation
         joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
     return np.where(np.isinf(low), phi - zero, joint)
 
@@ -96,6 +99,7 @@ def _around_both(circle, geometry, radius):
     """Return circles that contain the given circles and the circles around the centers of the positioners."""
     dx, dy = circle[0] - geometry.cx, circle[1] - geometry.cy
     apart = np.hypot(dx, dy)
+    # the smallest circle around two circles, or the larger circle if it contains the other
     size = np.maximum(0.5 * (apart + radius + circle[2]), np.maximum(radius, circle[2]))
     part = np.clip((size - radius) / np.maximum(apart, 1e-300), 0.0, 1.0)
     return np.array([geometry.cx + part * dx, geometry.cy + part * dy, size])
@@ -133,11 +137,11 @@ def idle_moves(columns, parked_obstacles: bool) -> motion.Moves:
     home = np.where(first.is_stuck, first.stuck.T, first.home)
     theta, phi = (np.array(v, dtype=float) for v in first.from_joints(*home, owner, fiber))
     stays = stays_folded(columns, parked_obstacles)
-    found_moves = find_moves(first, owner, fiber, theta, split_phi(first, phi), moving=first.usable)
-    folded = find_moves(first, owner, fiber, theta, split_phi(first, phi) + found_moves.turn, moving=False)
-    found_moves = joined(found_moves, np.flatnonzero(stays), folded, np.flatnonzero(stays))
+    moves = find_moves(first, owner, fiber, theta, split_phi(first, phi), moving=first.usable)
+    folded = find_moves(first, owner, fiber, theta, split_phi(first, phi) + moves.turn, moving=False)
+    moves = joined(moves, np.flatnonzero(stays), folded, np.flatnonzero(stays))
     gone = first.usable & (not parked_obstacles)
-    return found_moves._replace(x=np.where(gone, np.nan, found_moves.x))
+    return moves._replace(x=np.where(gone, np.nan, moves.x))
 
 
 def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves: motion.Moves, same_speed: bool):
@@ -152,7 +156,7 @@ def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves
     if len(stays) == 0:
         return idle
     size = np.diff(start)
-    step = np.maximum(-(-size // MOST), 1)
+    step = np.maximum(-(-size // MOST), 1)  # rounded up, so that every step-th candidate is at most MOST candidates
     offset = np.arange(start[-1]) - np.repeat(start[:-1], size)
     some = np.flatnonzero(offset % np.repeat(step, size) == 0)
     start = np.searchsorted(some, start)
@@ -349,6 +353,7 @@ def _free_bins(columns, i, fiber, phi, size, broken, neighbors, obstacles):
     moves = find_moves(columns, owner, np.full(N_BINS, fiber[i]), theta, np.full(N_BINS, phi[i]), moving=False)
     segments, fixed = _segments_of(moves), _segments_of(broken)
     outline = columns.plane.positioner.outline
+    # from the center of a range to its ends, no point of the arm moves farther than this arc
     slack = 0.5 * BIN * max(size, 0.0 if outline is None else outline.reach[1]) + motion.TOLERANCE
     gaps = np.full(N_BINS, np.inf)
     for j in neighbors:
@@ -372,6 +377,7 @@ def _line(columns, i, free):
     else:  # the line begins at a direction that is not free, or anywhere
         first = int(np.argmin(free))
         last = first + N_BINS
+    # a joint range contains a direction at most twice
     line = free[np.arange(first, min(last, first + 2 * N_BINS)) % N_BINS]
     begins = line & ~np.append(False, line[:-1])
     return first * BIN, np.where(line, np.cumsum(begins), 0)
