@@ -74,6 +74,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
                     for k in range(m):
                         dx, dy = mid_x[k] - x, mid_y[k] - y
                         marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
+                    # without a branch: the next pair overwrites a pair that is not marked
                     for k in range(m):
                         firsts[n_near], seconds[n_near] = a, near[k]
                         n_near += marks[k]
@@ -136,6 +137,7 @@ def join(first, second, label):
     """
     for k in range(first.size):
         a, b = first[k], second[k]
+        # union-find with path halving; the root of a set is its smallest element
         while label[a] != a:
             label[a] = label[label[a]]
             a = label[a]
@@ -143,7 +145,7 @@ def join(first, second, label):
             label[b] = label[label[b]]
             b = label[b]
         label[max(a, b)] = min(a, b)
-    for a in range(label.size):
+    for a in range(label.size):  # all smaller elements already have their root as label
         label[a] = label[label[a]]
 
 
@@ -158,6 +160,7 @@ def grow_cliques(owner, indptr, excluded, first, covered, row_start, out, most_w
     ``most_work`` steps. Returns the first candidate whose conflicts are not yet covered, and the number of cliques.
     """
     n = owner.size
+    # an element of ``stamp`` that equals ``serial`` is marked; a new serial number removes all marks
     pool, gain, stamp = np.empty(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
     rows = work = serial = 0
     for a in range(first, n):
@@ -187,6 +190,7 @@ def grow_cliques(owner, indptr, excluded, first, covered, row_start, out, most_w
                 kept, best, most = 0, -1, 0
                 for p in range(m):
                     d = pool[p]
+                    # candidates of one positioner exclude each other as well
                     if d != c and (stamp[d] == serial or owner[d] == owner[c]):
                         pool[kept] = d
                         kept += 1

@@ -96,7 +96,7 @@ def step(i, c, options, goals, plan, move):
             blocked[excluded[k]] += sign
         for k in range(goals.indptr[d], goals.indptr[d + 1]):
             g = goals.group[k]
-            low = min(count[g], count[g] + sign)
+            low = min(count[g], count[g] + sign)  # the number changes between this number and the next one
             sums[0] -= sign * (low >= goals.most[g])
             sums[2] += sign * (low < goals.least[g])
             count[g] += sign
@@ -116,6 +116,7 @@ def step(i, c, options, goals, plan, move):
 @inner_kernel
 def lack_of_rule(r, goals, plan):
     """Return how many more science fibers would need neighbors so that a plan complies with rule r."""
+    # a product that rounding makes slightly larger than a whole number does not count as the next number
     return max(np.ceil(goals.percent[r] * plan.n_science[r] / 100 - 1e-9) - plan.n_served[r], 0.0)
 
 

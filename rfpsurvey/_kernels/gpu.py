@@ -87,6 +87,7 @@ def count(
             cuda.atomic.add(counts, (c, BORDERLINE), borderline)
         if touched > 0:
             cuda.atomic.add(counts, (c, OBSTACLE_PAIRS), touched)
+    # all threads of a block must call this function, including those without a positioner
     n_assigned = cuda.syncthreads_count(int32(assigned))
     n_counted = cuda.syncthreads_count(int32(counted))
     n_hit = cuda.syncthreads_count(int32(hit and counted))

@@ -166,6 +166,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
     gap = math.inf
     for group in range(3):
         if near[group] and gap >= 0.0:
+            # the parts of one positioner, which are compared with the eccentric parts of the other positioner
             first, last = (m, m + n_eccentric) if group == 0 else (m + n_eccentric, m + n)
             if group == 0:
                 between = frames_apart(frame(*a), frame(*b))
@@ -181,6 +182,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
                 y = ty + (sine * v[MX, q] + cosine * v[MY, q])
                 for p in range(m, m + n_eccentric):
                     dx, dy = x - v[MX, p], y - v[MY, p]
+                    # a pair is skipped if circles around its parts are too far apart, or after a certain overlap
                     far = min(gap, limit) + v[MR, p] + v[MR, q] + slack
                     if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
                         radii = v[RADIUS, p] + v[RADIUS, q]
@@ -190,6 +192,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
                         if apart <= enough:
                             apart_q = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
                             apart = max(apart, apart_q)
+                        # polygons overlap if no normal separates them; two single vertices have arbitrary normals
                         if apart < -slack and p1 - p0 + q1 - q0 > 2:
                             gap = min(gap, apart - radii)
                         elif apart <= enough:
@@ -208,7 +211,7 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     overlap. The last eight arguments are the ends of the cores of the arms i and j. All cores have the same length.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
-    cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
+    cx, cy, inverse_i = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
     dx, dy, inverse_j = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
@@ -216,7 +219,7 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     ax, ay = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_)
     bx, by = bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
     x, y, other_wide, other_high = outline.central_box
-    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * inverse_j, (by0 - dy) * inverse_j
+    cc, cs, dc, ds = (ax0 - cx) * inverse_i, (ay0 - cy) * inverse_i, (bx0 - dx) * inverse_j, (by0 - dy) * inverse_j
     px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
     qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
     loose = limit + LOOSE * outline.scale

@@ -41,6 +41,7 @@ def exchange(old, new, links):
     for k in range(links.r_indptr[new], links.r_indptr[new + 1]):
         links.room[links.rule[k]] -= links.share[k]
         kept &= links.room[links.rule[k]] > -TOLERANCE
+    # shares in minima are negative, so that giving up a candidate can violate a rule, too
     for k in range(links.r_indptr[old], links.r_indptr[old + 1]):
         kept &= links.room[links.rule[k]] > -TOLERANCE
     return kept
@@ -72,7 +73,7 @@ def is_free(c, links, chosen, load):
         load[links.clique[k]] += 1
     if free and links.room.size > 0:
         free = exchange(old, c, links)
-        exchange(c, old, links)
+        exchange(c, old, links)  # undoes the first exchange
     return free
 
 
@@ -103,6 +104,7 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
     """
     seen[begin] = True
     depth = 0
+    # rows: a target, the index of its next candidate (-1 if none was tried), and the candidate that lost this target
     stack[0] = begin, -1, -1
     while depth >= 0:
         t, k, _ = stack[depth]

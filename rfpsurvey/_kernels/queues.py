@@ -80,7 +80,7 @@ def prepare_entries(indptr, idle, entries):
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
         empty = indptr[i] == indptr[i + 1]
-        obstacle = idle[0, i] == idle[0, i]
+        obstacle = idle[0, i] == idle[0, i]  # false for NaN
         entries.start[i] = m + i if empty else indptr[i]
         entries.stop[i] = m + i + (1 if obstacle else 0) if empty else indptr[i + 1]
         for row in range(4):
@@ -155,6 +155,7 @@ def expect(pairs, geometry, setup, entries, expected):
                 any_collides |= collides
         if not any_collides:
             continue
+        # queues are drawn independently, so that the probabilities of no collision with each neighbor are multiplied
         chance = 0.0
         for a in range(a0, a1):
             chance += weight[a] * hit[a]

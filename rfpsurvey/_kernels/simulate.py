@@ -117,7 +117,7 @@ def thin(rng, most, indptr, queue):
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]
         size = stop - begin
-        for k in range(min(size, most)):
+        for k in range(min(size, most)):  # the first steps of a Fisher-Yates shuffle
             pick = begin + k
             if size > most:  # a shorter queue keeps all entries in their order
                 pick += min(int(rng.random() * (size - k)), size - k - 1)

@@ -81,6 +81,8 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     p, m = dates.p_indptr[t], dates.p_indptr[t + 1] - dates.p_indptr[t]
     first = dates.e_indptr[dates.cadence[t]]
     n_epochs = dates.e_indptr[dates.cadence[t] + 1] - first
+    # dynamic program: ``value[e, i, k]`` is the largest value of sequences whose epoch e has the first place i and the
+    # last place k, and ``back`` contains these places of the preceding epoch
     value, back, taken = work
     best, at_e, at_i, at_k = 0.0, -1, -1, -1
     for e in range(n_epochs):
@@ -244,6 +246,7 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, candidate, 
         for k in range(number):  # the first elements become a random selection
             swapped = k + int(roll[k + 3] % (n - k))
             out[k], out[swapped] = out[swapped], out[k]
+        # empty lists from which numba infers the types of their elements
         journal = [np.int64(0) for _ in range(0)]
         places = [(np.int64(0), np.int64(0)) for _ in range(0)]
         old = done[t].copy()
