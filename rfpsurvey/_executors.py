@@ -141,7 +141,7 @@ def end_with_parent() -> None:
 
 def _end_after(parent) -> None:
     parent.join()
-    os._exit(1)
+    os._exit(1)  # without waiting for other threads of this process
 
 
 def _in_worker(function, *arguments):

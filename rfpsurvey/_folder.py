@@ -81,6 +81,7 @@ class RequestFolder:
         check_parent(self.path)
         if is_present(self.path) and not self.path.is_dir():
             raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
+        # as it will be read from the file, such as lists instead of tuples
         self._request, self._resume = json.loads(json.dumps(request)), resume
         self._known: dict[str, list[tuple[int, str]]] = {}
 

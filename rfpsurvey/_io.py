@@ -133,7 +133,7 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
     """Rename a file, and raise an error if a file with the new name exists."""
     try:
         try:
-            os.link(temporary, path)
+            os.link(temporary, path)  # fails if the path exists, in contrast to a renaming
         except FileExistsError:
             raise
         except OSError:  # the file system has no hard links

@@ -62,6 +62,7 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     low, high = np.full(len(prices.price), len(label)), np.full(len(prices.price), -1)
     np.minimum.at(low, row, cluster)
     np.maximum.at(high, row, cluster)
+    # the prices of cliques within one cluster are replaced by constraints of its integer program
     cross = low != high
     total = float(prices.price[cross].sum())
     value = weights - prices.matrix.T @ np.where(cross, prices.price, 0.0)
@@ -143,6 +144,7 @@ def improve_by_clusters(
             better, solved = _improve_cluster(candidates, members, now, blocked, holder, deadline, upper)
             improved |= better
             in_time &= solved
+        # clusters grow after two divisions in a row without a better plan, and shrink if a program takes too long
         if not in_time:
             size = max(size // 2, SMALLEST)
         elif improved:
@@ -205,9 +207,7 @@ def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder
     options = candidates.options
     for i in members:
         moves.put(i, -1, options, now, blocked, holder)
-    size = options.start[members + 1] - options.start[members]
-    begin = np.cumsum(size) - size
-    rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
+    rows = _ranges(options.start[members], options.start[members + 1])
     target = options.target[rows]
     rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
     outside = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
@@ -229,14 +229,18 @@ def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
     ndarray of int, shape (2, m)
         Pairs of candidates that collide.
     """
-    size = options.indptr[rows + 1] - options.indptr[rows]
-    begin = np.cumsum(size) - size
-    first = np.repeat(rows, size)
-    second = options.excluded[np.repeat(options.indptr[rows] - begin, size) + np.arange(size.sum())]
+    begin, end = options.indptr[rows], options.indptr[rows + 1]
+    first, second = np.repeat(rows, end - begin), options.excluded[_ranges(begin, end)]
     sorted_rows = np.sort(rows)
     place = np.minimum(np.searchsorted(sorted_rows, second), len(rows) - 1)
     keep = (sorted_rows[place] == second) & (first < second) if len(rows) else np.zeros(0, dtype=bool)
     return np.array([first[keep], second[keep]])
+
+
+def _ranges(begin, end):
+    """Return the whole numbers from ``begin[k]`` to ``end[k] - 1``, for each k in turn."""
+    size = end - begin
+    return np.repeat(begin - np.cumsum(size) + size, size) + np.arange(size.sum())
 
 
 def _partition(candidates, members, size, angle):
@@ -249,6 +253,7 @@ def _partition(candidates, members, size, angle):
     xy = candidates.problem.focal_plane.arrays.xy[members]
     load = np.diff(options.start)[members]
     n_strips = max(round(np.sqrt(load.sum() / size)), 1)
+    # strips along v and then cells of each strip, with about equal numbers of candidates
     u, v = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ xy.T
     order = np.lexsort((v, u))
     before = np.cumsum(load[order]) - load[order]

@@ -44,6 +44,7 @@ def match(candidates: Candidates) -> np.ndarray:
     n, m = len(options.start) - 1, len(problem.xy)
     classes = problem.rank
     if problem.any_required:
+        # required targets are more important than all classes
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets have candidates
@@ -59,7 +60,7 @@ def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None 
     if side is not None:
         fits &= candidates.side == side[options.owner]
     chosen = np.full(len(target_of), -1)
-    rows = np.flatnonzero(fits)[::-1]
+    rows = np.flatnonzero(fits)[::-1]  # the first candidate that fits is the last to be written
     chosen[options.owner[rows]] = rows
     return chosen
 
@@ -98,6 +99,7 @@ def repair_nearby(
         used = candidates.where(keep).with_collisions(**limits)
         now, blocked, _ = stand(used, np.searchsorted(np.flatnonzero(keep), plan))
         active = (blocked[now] > 0) | (options.rank[plan] > _best_rank(options))
+        # near: active positioners, their neighbors, and positioners that reach a target of an active positioner
         near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
         near[second[active[first]]] = near[first[active[second]]] = True
         shared = np.zeros(len(problem.xy) + 1, dtype=bool)  # the last element is for idle arms
@@ -169,6 +171,7 @@ def _meet_goals(candidates, now, blocked, holder, deadline):
             first = _order(candidates, now)
             first = first[~candidates.counted[now[first]]]
             moves.fill_group(first, need, g, held, count, candidates.limits[1], candidates.options, *state)
+    # candidates of requirements may have replaced neighbors
     for spread in candidates.spreads:
         add_neighbors(candidates, spread, deadline, *state)
 

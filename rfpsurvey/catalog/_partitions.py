@@ -288,6 +288,7 @@ def partition_catalog(
     columns = {f"_healpix_{INDEX_ORDER}": fine[along]}
     columns.update((name, np.asarray(getattr(table[name], "value", table[name]))) for name in table.colnames)
     content = pa.table(columns, metadata=unit_metadata(table))
+    # in the nested scheme, each lower order removes two bits
     pixel = fine[along] >> 2 * (INDEX_ORDER - order)
     pixels, first = np.unique(pixel, return_index=True)
     with temporary_folder(folder) as temporary:

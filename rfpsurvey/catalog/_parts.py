@@ -21,6 +21,7 @@ from rfpsurvey.errors import InputError, listed
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
 ROLES = tuple(role for role in COLUMN_ROLES if role not in ("positioner", "x", "y"))
 INDEX_ORDER = 29
+# Allowance for rounding errors of angles on the sky.
 SLACK_RAD = 1e-9
 
 
@@ -61,6 +62,7 @@ class Partitions:
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
         same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # one pixel may have several files
+        # a large pixel can overlap more than the next partition
         bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
         if len(bad):
             first, second = (self.files[k] for k in (bad[0], bad[0] + 1))

@@ -89,6 +89,7 @@ def _of_years(value: object) -> Time:
     years = np.asarray(getattr(value, "unmasked", value), dtype=float)
     if not ((years > FIRST) & (years < LAST) | missing).all():
         raise ValueError
+    # a masked year must be a valid year as well
     years = Masked(np.where(missing, 2000.0, years), mask=missing) if missing.any() else years
     return Time(years, format="jyear", scale="tcb")
 

@@ -120,8 +120,9 @@ class BrightStars(StarRule):
         vectors, radii, ids = self._circles(field)
         if len(targets) == 0 or len(vectors) == 0:
             return excluded
+        # the chords of the radii, because the tree contains unit vectors
         near = cKDTree(field.vectors[targets]).query_ball_point(vectors, 2 * np.sin(np.minimum(radii, np.pi) / 2))
-        star = np.repeat(np.arange(len(near)), [len(targets) for targets in near])
+        star = np.repeat(np.arange(len(near)), [len(indices) for indices in near])
         rows = targets[np.concatenate([*near, []]).astype(int)]
         excluded[rows if ids is None else rows[field.is_added[rows] | (field.id[rows] != ids[star])]] = True
         return excluded

@@ -183,6 +183,7 @@ def distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
         squared = (x1 - x0) ** 2 + (y1 - y0) ** 2 or 1.0  # a corner can be repeated, as in a closed polygon
         along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / squared, 0, 1)
         nearest[rows] = np.minimum(nearest[rows], np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0)))
+        # even-odd rule: whether a ray along the x axis crosses the edge
         crosses = (y0 > y) != (y1 > y)
         if y1 != y0:
             inside[rows] ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))

@@ -28,6 +28,7 @@ class Circles:
         any_type = np.broadcast_to(np.int64(-1), len(points)), np.broadcast_to(np.int64(-1), n)
         start, empty = np.empty(len(points) + 1, dtype=np.int64), np.empty(0)
         circles = reach.annuli(self.x, self.y, np.zeros(n), self.radius), any_type[1].copy()
+        # without room for pairs, the kernel only counts them
         pairs = np.empty(0, dtype=np.int64), empty, np.empty(0, dtype=np.int8)
         reach.reachable_pairs(x, y, any_type[0].copy(), *circles, *self._grid, start, *pairs)
         return np.diff(start) > 0
@@ -42,6 +43,7 @@ class AllowedPoses:
         margins = self.plane.margins
         if not (margins.outer > 0 or margins.inner > 0):
             return self.inner_radius, self.outer_radius
+        # rational arithmetic takes long, but many positioners have the same lengths and radii
         kinds = np.column_stack([self.central_arm, self.eccentric_arm, self.inner_radius, self.outer_radius])
         _, rows, inverse = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
         radii = np.array([[float(v) for v in edges_exactly(self, k)] for k in rows])[inverse.reshape(-1)]
@@ -170,6 +172,7 @@ def _clear_of_broken(columns, owner, points, side, fiber):
         )
         if limits.outline.start.size > 1:
             n = conflicts.keep_outlined(n, of_segment, segments, limits, first, second, borderline)
+        # the moved arms precede the broken arms
         close = order[first[:n]]
         clear[rows[close[close < len(rows)]]] = False
     return clear

@@ -38,35 +38,36 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         if name not in names:
             raise InputError(f"there is no column {name!r}; the columns are: {listed(names)}")
     xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
-    unit, columns = np.ones(len(xy), dtype=bool), {}
+    is_positioner, columns = np.ones(len(xy), dtype=bool), {}
     for name, column in CIRCLES.items():
         if column in names:
             radius = _quantity(table, column, u.mm)
-            rows = np.isfinite(radius) & unit
-            unit &= ~rows
+            rows = np.isfinite(radius) & is_positioner
+            is_positioner &= ~rows
             if rows.any():
                 columns[name] = np.column_stack([xy[rows], radius[rows]])
-    columns |= {name: to_plain(table[name][unit], f"column {name!r}") for name in PLAIN if name in names}
-    columns |= {name: _quantity(table, name, u.mm)[unit] for name in LENGTHS if name in names}
+    columns |= {name: to_plain(table[name][is_positioner], f"column {name!r}") for name in PLAIN if name in names}
+    columns |= {name: _quantity(table, name, u.mm)[is_positioner] for name in LENGTHS if name in names}
     for name, pair in PAIRS.items():
         if {*pair} <= {*names}:
-            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in pair])
+            columns[name] = np.column_stack([_quantity(table, part, u.deg)[is_positioner] for part in pair])
     places = {}
     for column in names:
-        if column.startswith("fiber_x") and column.replace("fiber_x", "fiber_y", 1) in names:
-            pair = [_quantity(table, part, u.mm)[unit] for part in (column, column.replace("fiber_x", "fiber_y", 1))]
+        y_column = column.replace("fiber_x", "fiber_y", 1)
+        if column.startswith("fiber_x") and y_column in names:
+            pair = [_quantity(table, part, u.mm)[is_positioner] for part in (column, y_column)]
             places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
     if places:
         columns["fiber_xy"] = places
     if POLYGONS in table.meta:
         columns["obstacle_polygons"] = [polygon * u.mm for polygon in table.meta[POLYGONS]]
-    columns["groups"] = {name: values for name in names if (values := _group(table, name, unit)) is not None}
+    columns["groups"] = {name: values for name in names if (values := _group(table, name, is_positioner)) is not None}
     _warn_of_ignored(names)
     if MARGINS in table.meta:
         columns["margins"] = Margins.from_numbers(table.meta[MARGINS])
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
-    return {"xy": xy[unit], "positioner": positioner, **columns}
+    return {"xy": xy[is_positioner], "positioner": positioner, **columns}
 
 
 def is_group(name: str) -> bool:

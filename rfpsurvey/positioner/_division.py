@@ -43,6 +43,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
         raise InputError(f"vertices must be 3 to {MOST} finite points, got {short(vertices)}")
     xy = points.tolist()
     ring = [k for k in range(len(xy)) if xy[k] != xy[k - 1]]
+    # twice the signed area, which is negative if the vertices are clockwise
     if sum(xy[a][0] * xy[b][1] - xy[a][1] * xy[b][0] for a, b in zip(ring, ring[1:] + ring[:1], strict=True)) < 0:
         ring.reverse()
     parts = None if _crosses(xy, ring) else _triangles(xy, ring)
@@ -78,7 +79,7 @@ def _triangles(xy, ring) -> list[list[int]]:
                 break
         else:
             return []
-        if bend > 0:
+        if bend > 0:  # a corner without a bend is removed without a triangle
             triangles.append([before, corner, after])
         del ring[k]
     return triangles
@@ -109,6 +110,7 @@ def _merged(xy, parts) -> list[list[int]]:
 
 def _union(xy, first, second) -> list[int]:
     """Return the union of two parts, or an empty list if they share no edge or if their union is not convex."""
+    # neighbors have a common edge in opposite directions, because both are counter-clockwise
     edges = {(b, a): k for k, (a, b) in enumerate(zip(second, second[1:] + second[:1], strict=True))}
     for k, edge in enumerate(zip(first, first[1:] + first[:1], strict=True)):
         if edge in edges:
