@@ -18,7 +18,7 @@ from rfpsurvey.positioner import ArmOutline, divide_polygon
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
 LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
-STUCK, BROKEN, RESTRICTED = 2, 4, 8
+STUCK, BROKEN, RESTRICTED = 2, 4, 8  # bits of the column STATE
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_YAML, MOST_JSON = 2**22, 2**26
 """Largest number of bytes of a file; YAML is slow to read, and only small files are in this format."""
@@ -92,6 +92,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         wrong = is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)
         doubtful |= wrong & ~np.isnan(column) & (fixed | (name in LIMITS))
         column[wrong] = np.nan
+    # the focal plane is the mirror image of that in CS5, so that angles have the opposite signs
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)
