@@ -44,7 +44,7 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 
 @kernel
-def find_gaps(owners, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
+def find_gaps(owners, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_owner, out_x, out_y):
     """Find up to ``most`` points without nearby targets for each positioner in ``owners``; return the total number.
 
     ``fraction`` contains, for each tested point, the fraction of the patrol area that is closer to the center of the
@@ -60,7 +60,7 @@ def find_gaps(owners, cx, cy, inner, outer, fraction, most, separation, x, y, gr
             r = math.sqrt(low + fraction[k] * (high - low))
             px, py = cx[i] + r * math.cos(golden * k), cy[i] + r * math.sin(golden * k)
             if is_clear(px, py, separation, x, y, *grid):
-                out_own[n], out_x[n], out_y[n] = i, px, py
+                out_owner[n], out_x[n], out_y[n] = i, px, py
                 n += 1
                 n_points += 1
                 if n_points == most:

@@ -87,7 +87,7 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     best, at_e, at_i, at_k = 0.0, -1, -1, -1
     for e in range(n_epochs):
         low, high, n, limit = dates.low[first + e], dates.high[first + e], dates.n[first + e], dates.limit[first + e]
-        gain, any_found = per_visit * n + (per_whole if e == n_epochs - 1 else 0.0), False
+        gain, is_possible = per_visit * n + (per_whole if e == n_epochs - 1 else 0.0), False
         for i in range(m):
             for k in range(i, m):
                 value[e, i, k] = -np.inf
@@ -118,10 +118,10 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
                     visits_cost += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
                 total = before + gain - visits_cost
                 value[e, i, k], back[e, i, k] = total, where
-                any_found |= total > -np.inf
+                is_possible |= total > -np.inf
                 if total > best:
                     best, at_e, at_i, at_k = total, e, i, k
-        if not any_found:
+        if not is_possible:
             break
     picked[:m] = False
     visits, whole = 0, at_e == n_epochs - 1

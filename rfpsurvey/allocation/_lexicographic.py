@@ -83,6 +83,7 @@ class _Pursuit:
     def next_pack(self, k, largest):
         """Return the number of objectives, beginning with k, that can form one weighted sum, and their weights."""
         sizes = (self.program.high - self.program.low + 1.0)[k:]
+        # each weight exceeds the largest possible sum of all later terms, like the digits of a number
         n = max(int((np.cumprod(sizes) <= largest).sum()), 1)
         return n, np.cumprod([1.0, *sizes[1:n][::-1]])[::-1]
 
@@ -113,6 +114,7 @@ class _Pursuit:
                 return 0, np.inf
             self.take(x)
             values = program.reaches(x)
+            # all values of the goal are whole numbers
             done = (goal + extra) @ x >= bound - 0.5
             if done and self.is_kept(values):
                 self.solved += values[k : k + n].tolist()

@@ -108,7 +108,7 @@ class Finder:
             if name in lower:
                 return lower[name]
         if ucd:
-            for main in (True, False):
+            for main in (True, False):  # a column that is marked as the main one takes precedence
                 for column in self.table.colnames:
                     column_ucd = _ucd(self.table[column])
                     if column_ucd.startswith(ucd) and (not main or "meta.main" in column_ucd):

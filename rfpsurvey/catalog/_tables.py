@@ -97,6 +97,7 @@ def _last_entries(table: Table) -> tuple[Table, str]:
     if name is None or format_ is None or format_.name != "DESI ledger":
         return table, ""
     ids = to_labels(table[name], f"column {name!r}")
+    # the first entry in reverse order
     last = len(ids) - 1 - np.unique(ids[::-1], return_index=True)[1]
     if len(last) == len(ids):
         return table, ""

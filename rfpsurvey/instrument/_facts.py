@@ -147,6 +147,7 @@ def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return the corners of the convex hull of discs around centers (mm), in counter-clockwise order."""
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     outward = np.column_stack([np.cos(angle), np.sin(angle)])
+    # in each direction, the hull is as far as the farthest disc
     far = np.argmax(xy @ outward.T + radius[:, None], axis=0)
     return xy[far] + radius[far, None] * outward
 
@@ -175,6 +176,7 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
     corners = hull.points[hull.vertices]
     after = np.roll(corners, -1, axis=0)
     weight = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]
+    # the centroid of the hull
     center = ((corners + after) * weight[:, None]).sum(axis=0) / (3 * weight.sum())
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     slope = hull.equations[:, :2] @ np.array([np.cos(angle), np.sin(angle)])

@@ -172,6 +172,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     extended = folded + most  # the limit of phi, measured from the extended arm
     lengths = (1.0, 1.0) if arms is None else (columns[f"{name}_arm"][rows].value for name in ("central", "eccentric"))
     width = (end - begin) % 360 + _largest_lag(extended, *lengths)
+    # with arms of equal length, the limit of phi leaves the fraction cos^2(phi / 2) of the patrol area
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)
     theta, phi = (
         columns.get(name, np.full((N, 2), np.nan) * u.deg).to_value(u.deg).copy()
