@@ -90,16 +90,8 @@ def decide(
     spent = now() - begin
     problem, candidates, kept = with_used_classes(problem, candidates)
     repaired = solution = None
-    is_late, is_long = spent > LATE * problem.time_limit, candidates.options.excluded.size > LONG * len(candidates)
-    if collide and is_long and not is_late and whole and not squared_cost:
-        solution = local_optimum(given, candidates)
-    is_large = whole and len(candidates) > LARGEST
-    if collide and (is_long or is_late or is_large) and solution is None:
-        repaired = repaired_plan(given, candidates)
-        if left(deadline) < spent:
-            plan, _ = plan_of(candidates, repaired, np.inf)
-            values = values_of(candidates, plan)
-            solution = Found(plan, values, np.full(len(values), np.inf), LOCAL)
+    if collide:
+        repaired, solution = _plan_locally(given, candidates, spent, whole=whole, squared_cost=squared_cost)
     n_left_out = candidates.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
@@ -134,6 +126,23 @@ def decide(
         picked = pick(candidates, used.options.target[chosen], used.side[chosen])
         used, chosen = candidates, np.where(picked < 0, candidates.options.start[1:] - 1, picked)
     return answer_of(given, problem, used, chosen, repaired, kept, lambda _: bounds, least, meta)
+
+
+def _plan_locally(given, candidates, spent, *, whole, squared_cost):
+    """Return the plan of ``repair``, and a solution that replaces the search; None for what is not made.
+
+    ``spent`` is the time in seconds that finding the candidates took.
+    """
+    is_late, is_long = spent > LATE * given.time_limit, candidates.options.excluded.size > LONG * len(candidates)
+    solution = local_optimum(given, candidates) if is_long and not is_late and whole and not squared_cost else None
+    if solution is not None or not (is_long or is_late or (whole and len(candidates) > LARGEST)):
+        return None, solution
+    repaired = repaired_plan(given, candidates)
+    if left(given.deadline) >= spent:
+        return repaired, None
+    plan, _ = plan_of(candidates, repaired, np.inf)
+    values = values_of(candidates, plan)
+    return repaired, Found(plan, values, np.full(len(values), np.inf), LOCAL)
 
 
 def _without_requirements(problem, **options):
