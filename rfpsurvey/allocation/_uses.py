@@ -49,8 +49,9 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     column : callable
         Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
     """
-    rules = (rule for rule in options.all_constraints if isinstance(rule, Rule) and hasattr(rule, "what"))
-    asked = {rule.what: rule for rule in (*(rule for rule in rules if rule.what not in ("", *KINDS)), *options.needs)}
+    rules = [rule for rule in options.all_constraints if isinstance(rule, Rule)]
+    rules = [rule for rule in rules if getattr(rule, "what", "") not in ("", *KINDS)]
+    asked = {rule.what: rule for rule in (*rules, *options.needs)}
     if options.sky_separation is not None:
         asked.pop("sky", None)
     asked.pop("science", None)
@@ -58,10 +59,10 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     lacking = {what: rule for what, rule in asked.items() if not any(has_role(kind, what).any() for kind in columns)}
     if not lacking:
         return
-    there = {"science", *(name for values in columns for name in np.unique(values).tolist())}
-    categories = sorted(there - {*KINDS, *JOINED, ""})
+    known = {"science", *(name for values in columns for name in np.unique(values).tolist())}
+    categories = sorted(known - {*KINDS, *JOINED, ""})
     for what, rule in lacking.items():
-        hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
+        hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, known)
         if categories and not hint and what not in KINDS:
             hint = f"the catalog's categories are: {listed(categories, 8)}"
         word = "requirement" if rule in options.needs else "rule"
