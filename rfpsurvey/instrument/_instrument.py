@@ -130,8 +130,7 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
     @property
     def target_density(self) -> u.Quantity:
         """Target density (per solid angle) for which a field has ``targets_per_fiber`` targets per positioner."""
-        # the area of a spherical cap
-        area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
+        area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr  # of a spherical cap
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
     @property
