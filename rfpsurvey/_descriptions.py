@@ -19,92 +19,62 @@ COPIED = "copied from the catalog"
 
 @dataclass(frozen=True)
 class Column:
-    """The description of a column of a table.
-
-    Parameters
-    ----------
-    name : str
-        Name of the column.
-    text : str
-        Description of the values.
-    unit : str, optional
-        Unit of the values.
-    value : callable, optional
-        Function of an object from which `make_table` makes the table. The function returns the values, or None if the
-        table does not have the column.
-    """
+    """The description of a column of a table."""
 
     name: str
     text: str
     unit: str = ""
+    # function of the object of which `make_table` makes a table; it returns None if the table lacks the column
     value: Callable | None = None
 
 
 @dataclass(frozen=True)
 class Fact:
-    """The description of a number of a summary, which reports and printed summaries show.
-
-    Parameters
-    ----------
-    name : str
-        Name of the number in the summary.
-    label : str
-        Text that is shown with the number.
-    of : str, optional
-        Name of another number, of which this number is a detail. Details are indented, and are below this number.
-    value : callable, optional
-        Function of an object from which the summary is made. The function returns the number, or None if the summary
-        does not contain it.
-    shown : callable, optional
-        Function of the summary that returns what is shown in place of the number: a number, text, None to show nothing,
-        or a dict of labels and values.
-    zero : bool, optional
-        Whether the number is shown if it is 0.
-    """
+    """The description of a number of a summary, which reports and printed summaries show."""
 
     name: str
     label: str = ""
-    of: str = ""
-    value: Callable | None = None
-    shown: Callable | None = None
-    zero: bool = False
+    of: str = ""  # name of another number, of which this number is a detail; details are indented, and are below it
+    value: Callable | None = None  # function of the object; it returns None if the summary lacks the number
+    shown: Callable | None = None  # function of the summary: number, text or dict of labels and values to show, or None
+    zero: bool = False  # whether the number is shown if it is 0
 
 
 def facts_of(facts: Iterable[Fact], summary: Mapping) -> dict[str, object]:
     """Return the labels and values that are shown of a summary; the labels of details begin with spaces."""
-    found = {}
+    labeled = {}
 
     def add(of: str, indent: str) -> None:
         for fact in (fact for fact in facts if fact.of == of):
             value = fact.shown(summary) if fact.shown else summary.get(fact.name)
             if isinstance(value, dict):  # the function has selected what is shown
-                found.update({indent + label: number for label, number in value.items()})
+                labeled.update({indent + label: number for label, number in value.items()})
             elif value or (fact.zero and value is not None):
-                found[indent + fact.label] = value
+                labeled[indent + fact.label] = value
             add(fact.name, f"{indent}  ")
 
     add("", "")
-    return found
+    return labeled
 
 
 def make_table(columns: Mapping[str, Column], data: object) -> QTable:
     """Return a table of all columns for which ``data`` has values, and of the further columns ``data.columns``."""
-    values = {name: one.value(data) for name, one in columns.items() if one.value}
-    values = {name: with_unit(one, columns[name].unit) for name, one in values.items() if one is not None}
+    values = {name: column.value(data) for name, column in columns.items() if column.value}
+    values = {name: with_unit(value, columns[name].unit) for name, value in values.items() if value is not None}
     return describe(QTable(values | data.columns), columns, COPIED)
 
 
-def describe(table: QTable, columns: Mapping[str, Column], others: str = "") -> QTable:
-    """Set the descriptions of the columns of a table, and return the table; other columns have the text ``others``."""
+def describe(table: QTable, columns: Mapping[str, Column], default: str = "") -> QTable:
+    """Set the descriptions of the columns of a table, and return the table; other columns have the text ``default``."""
     for name in table.colnames:
-        if text := text_of(columns, name, others):
+        if text := text_of(columns, name, default):
             table[name].info.description = text
     return table
 
 
-def text_of(columns: Mapping[str, Column], name: str, others: str = "") -> str:
+def text_of(columns: Mapping[str, Column], name: str, default: str = "") -> str:
     """Return the description of a column."""
-    return columns[name].text if name in columns else others
+    return columns[name].text if name in columns else default
 
 
 def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:

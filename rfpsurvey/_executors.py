@@ -82,14 +82,14 @@ def _take(waiting: deque) -> Iterator:
 
 def _call(function: Callable, calls: list) -> list:
     """Call a function for each of several tiles; errors name the tile. Each call is a tile and an argument."""
-    found = []
+    results = []
     for tile, argument in calls:
         try:
-            found.append(function(argument))
+            results.append(function(argument))
         except Exception as error:
             error.add_note(f"while tile {tile} was planned")
             raise
-    return found
+    return results
 
 
 @contextmanager
@@ -141,7 +141,7 @@ def end_with_parent() -> None:
 
 def _end_after(parent) -> None:
     parent.join()
-    os._exit(1)
+    os._exit(1)  # without waiting for other threads of this process
 
 
 def _in_worker(function, *arguments):

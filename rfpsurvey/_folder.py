@@ -34,11 +34,11 @@ def locked(path: Path, lock: Path | None = None, *, wait: float = 0.0):
 
     By default, the lock is a hidden file beside the output, which is removed at the end.
     """
-    own = path.with_name(f".{path.name}.lock") if lock is None else lock
-    guard = FileLock(own)
+    lock_path = path.with_name(f".{path.name}.lock") if lock is None else lock
+    guard = FileLock(lock_path)
     try:
         guard.acquire(timeout=wait)
-        taken = not own.exists()  # the run that held the lock has just removed its file
+        taken = not lock_path.exists()  # the run that held the lock has just removed its file
     except Timeout:
         taken = True
     except OSError as error:
@@ -47,7 +47,7 @@ def locked(path: Path, lock: Path | None = None, *, wait: float = 0.0):
         if taken:
             kind = "file" if lock is None else "folder"
             raise InputError(f"{path}: another run uses this {kind}; wait until it ends, or give another {kind}")
-        with temporary(own) if lock is None else nullcontext():
+        with temporary(lock_path) if lock is None else nullcontext():
             yield
     finally:
         guard.release()
@@ -81,6 +81,7 @@ class RequestFolder:
         check_parent(self.path)
         if is_present(self.path) and not self.path.is_dir():
             raise InputError(f"{self.path} is a file; the output of a {self.work} is a folder")
+        # as it will be read from the file, such as lists instead of tuples
         self._request, self._resume = json.loads(json.dumps(request)), resume
         self._known: dict[str, list[tuple[int, str]]] = {}
 
@@ -167,12 +168,12 @@ class RequestFolder:
     def writing(self, name: str):
         """Provide a temporary path for a file; at the end, rename the file and write its line of the index."""
         path = self.path / name
-        with ExitStack() as stack, writing_to(path, (suffix_of(path),), overwrite=True) as own:
+        with ExitStack() as stack, writing_to(path, (suffix_of(path),), overwrite=True) as new_path:
             try:
-                yield own
+                yield new_path
             except InputError as error:
-                raise InputError(str(error).replace(str(own), str(path))) from error
-            stack.enter_context(self._recorded(name, *_entry_of(own)))
+                raise InputError(str(error).replace(str(new_path), str(path))) from error
+            stack.enter_context(self._recorded(name, *_entry_of(new_path)))
 
     @contextmanager
     def _recorded(self, name: str, *entry):

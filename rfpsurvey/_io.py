@@ -43,24 +43,24 @@ def write_table(
     overwrite: bool = False,
     cards: dict | None = None,
     name: str | None = None,
-    others: dict | None = None,
+    extensions: dict | None = None,
 ) -> None:
     """Write a table as FITS or ECSV.
 
     ``cards`` contains additional cards of the FITS header: a dictionary of names to values, or to tuples of a value and
-    a comment. ``name`` is the name of the extension. ``others`` maps the names of additional extensions of a FITS file
-    to their tables; an ECSV file can contain only one table.
+    a comment. ``name`` is the name of the extension. ``extensions`` maps the names of additional extensions of a FITS
+    file to their tables; an ECSV file can contain only one table.
     """
     path = to_path(path)
-    for one in (table, *(others or {}).values()):
-        check_texts(one, path)
-    with writing_to(path, WRITABLE, overwrite=overwrite) as own:
+    for extension in (table, *(extensions or {}).values()):
+        check_texts(extension, path)
+    with writing_to(path, WRITABLE, overwrite=overwrite) as new_path:
         if is_fits(path):
             with _writing(f"{path}: the table", "FITS", "; write .ecsv instead"):
-                _to_hdus(table, cards, name, others or {}).writeto(own)
+                _to_hdus(table, cards, name, extensions or {}).writeto(new_path)
         else:
             opener = gzip.open if path.suffix.lower() == ".gz" else open
-            with _writing(f"{path}: the table", "ECSV"), opener(own, "wt", encoding="utf-8", newline="\n") as file:
+            with _writing(f"{path}: the table", "ECSV"), opener(new_path, "wt", encoding="utf-8", newline="\n") as file:
                 # astropy cannot write a quantity whose name is unit
                 (Table(table) if "unit" in table.colnames else table).write(file, format="ascii.ecsv")
 
@@ -85,7 +85,7 @@ def check_fits_text(columns: dict, remedy: str) -> None:
     for what, values in columns.items():
         values = np.asarray(values)
         text = np.unique(values).tolist() if values.dtype.kind == "U" else []
-        bad = [one for one in text if not (one.isascii() and one.isprintable()) and one]
+        bad = [value for value in text if not (value.isascii() and value.isprintable()) and value]
         if bad:
             raise InputError(
                 f"FITS files can contain only printable ASCII text, but {len(bad)} {what} contain other "
@@ -103,12 +103,12 @@ def _in_place_of(path: Path, *, overwrite: bool = True):
     """
     with written(path), temporary(_beside(path)) as room:
         room.mkdir(mode=0o700)
-        own = room / path.name
-        yield own
-        if overwrite or own.is_dir():
-            os.replace(own, path)
+        new_path = room / path.name
+        yield new_path
+        if overwrite or new_path.is_dir():
+            os.replace(new_path, path)
         else:
-            _rename_to_new(own, path)
+            _rename_to_new(new_path, path)
 
 
 @contextmanager
@@ -133,7 +133,7 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
     """Rename a file, and raise an error if a file with the new name exists."""
     try:
         try:
-            os.link(temporary, path)
+            os.link(temporary, path)  # fails if the path exists, in contrast to a renaming
         except FileExistsError:
             raise
         except OSError:  # the file system has no hard links
@@ -147,30 +147,30 @@ def _rename_to_new(temporary: Path, path: Path) -> None:
 def writing_to(path: str | os.PathLike, endings: tuple[str, ...], *, overwrite: bool = False, gzipped: bool = False):
     """Provide a temporary path beside ``path`` that is renamed to ``path`` on success."""
     path = check_output(path, endings, overwrite=overwrite, gzipped=gzipped)
-    with _in_place_of(path, overwrite=overwrite) as own:
-        yield own
+    with _in_place_of(path, overwrite=overwrite) as new_path:
+        yield new_path
 
 
 @contextmanager
 def temporary_folder(path: str | os.PathLike):
     """Provide a temporary folder beside ``path`` that is renamed to ``path`` on success."""
     path = check_new_folder(path)
-    with _in_place_of(path) as own:
-        own.mkdir()
-        yield own
+    with _in_place_of(path) as new_path:
+        new_path.mkdir()
+        yield new_path
 
 
-def _to_hdus(table, cards, name, others):
+def _to_hdus(table, cards, name, extensions):
     """Return the header-data units (HDUs) of tables; the header of the first table has a card with its ``meta``."""
     from astropy.io import fits
 
     meta = {META_KEY: json.dumps(table.meta, separators=(",", ":"), default=str)}
-    found = fits.HDUList([fits.PrimaryHDU()])
-    for title, one in {name: table, **others}.items():
-        plain = one.copy(copy_data=False)
+    hdus = fits.HDUList([fits.PrimaryHDU()])
+    for title, extension in {name: table, **extensions}.items():
+        plain = extension.copy(copy_data=False)
         plain.meta = {}
         about = {column.info.name: column.info.description for column in plain.itercols()}
-        units = {one.info.name: one.unit for one in plain.itercols() if getattr(one, "unit", None) is not None}
+        units = {c.info.name: c.unit for c in plain.itercols() if getattr(c, "unit", None) is not None}
         odd = {key: str(unit) for key, unit in units.items() if not _is_fits_unit(unit)}
         for key in odd:
             plain[key] = np.asarray(plain[key].value)
@@ -180,9 +180,9 @@ def _to_hdus(table, cards, name, others):
             warnings.simplefilter("ignore")  # ignore warnings about units and names that the FITS standard lacks
             hdu = fits.table_to_hdu(plain)
         hdu.header.update(table_cards(title, list(about), about, odd))
-        hdu.header.update({**(cards or {}), **meta} if one is table else {})
-        found.append(hdu)
-    return found
+        hdu.header.update({**(cards or {}), **meta} if extension is table else {})
+        hdus.append(hdu)
+    return hdus
 
 
 def _is_fits_unit(unit: object) -> bool:
@@ -206,15 +206,15 @@ def table_cards(name: str | None, columns: list[str], about: dict, units: dict |
 
 def write_bytes(path: Path, content: bytes, *, sync: bool = False) -> None:
     """Write a temporary file and rename it to ``path``; with ``sync``, the content is on disk before the renaming."""
-    with written(path), temporary(_beside(path)) as own:
+    with written(path), temporary(_beside(path)) as new_path:
         # The file is new and has a random name, so that no other process writes to it and no link is followed.
-        handle = os.open(own, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
+        handle = os.open(new_path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)
         with open(handle, "wb") as file:
             file.write(content)
             if sync:
                 file.flush()
                 os.fsync(handle)
-        os.replace(own, path)
+        os.replace(new_path, path)
 
 
 def write_new_file(path: Path, content: bytes) -> tuple[int, str]:
@@ -243,10 +243,8 @@ class FitsRows(NamedTuple):
     """A table that is written to a FITS file in parts, so that only one part is in memory at a time."""
 
     dtype: np.dtype
-    cards: dict
-    """Cards of the header: a dictionary of names to values, or to tuples of a value and a comment."""
-    parts: Iterable[np.ndarray]
-    """Parts of the table; each part contains some of the rows."""
+    cards: dict  # cards of the header: a dictionary of names to values, or to tuples of a value and a comment
+    parts: Iterable[np.ndarray]  # parts of the table; each part contains some of the rows
 
 
 def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool = False) -> list[int]:
@@ -255,7 +253,7 @@ def write_fits_rows(path: str | os.PathLike, *tables: FitsRows, overwrite: bool 
     Only one part of a table is in memory at a time.
     """
     counts = []
-    with writing_to(path, (".fits",), overwrite=overwrite) as own, own.open("wb") as file:
+    with writing_to(path, (".fits",), overwrite=overwrite) as new_path, new_path.open("wb") as file:
         for dtype, cards, parts in tables:
             fixed, n_rows, n_bytes = tuple(cards.items()), 0, 0
             disk, begin, skipped = _fits_template(dtype, fixed)[-1], file.tell(), PRIMARY if counts else 0

@@ -25,9 +25,9 @@ _OPTIONS = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
 
 @cache
 def _source_digest() -> str:
-    here = Path(__file__).parent
+    package = Path(__file__).parent
     digest = hashlib.sha256()
-    for path in sorted([Path(__file__), *(here / "_kernels").glob("*.py")]):
+    for path in sorted([Path(__file__), *(package / "_kernels").glob("*.py")]):
         digest.update(path.name.encode())
         digest.update(path.read_bytes())
     return digest.hexdigest()
@@ -88,10 +88,10 @@ def _make_safe(file) -> None:
 @contextmanager
 def _open_for_write(path):
     """Provide a file that is renamed to ``path`` at the end; in contrast to numba, an interrupt leaves no file."""
-    with temporary(Path(f"{path}.tmp.{secrets.token_hex(8)}")) as own:
-        with own.open("wb") as file:
+    with temporary(Path(f"{path}.tmp.{secrets.token_hex(8)}")) as new_path:
+        with new_path.open("wb") as file:
             yield file
-        os.replace(own, path)
+        os.replace(new_path, path)
 
 
 def inlined_kernel(function: Callable) -> Callable:

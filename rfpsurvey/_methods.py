@@ -16,10 +16,8 @@ class Method:
 
     name: str
     function: Callable
-    options: Collection[str] | None = ()
-    """Names of the options that the method uses, without those that all methods use; None if it may use any option."""
-    summary: str = ""
-    """A few words for the help of a command; empty if the name is clear."""
+    options: Collection[str] | None = ()  # names of the options that not all methods use; None if it may use any option
+    summary: str = ""  # a few words for the help of a command; empty if the name is clear
 
     def uses(self, option: str) -> bool:
         """Return whether the method may use an option."""
@@ -33,20 +31,20 @@ def table_of(*methods: Method) -> dict:
 
 def help_of(methods: Mapping[str, Method]) -> str:
     """Return the names and summaries of methods, for the help of a command."""
-    return ", ".join(name + (f" ({one.summary})" if one.summary else "") for name, one in methods.items())
+    return ", ".join(name + (f" ({method.summary})" if method.summary else "") for name, method in methods.items())
 
 
 def describe_methods(methods: Mapping[str, Method]) -> Callable[[T], T]:
     """Return a decorator that replaces the line ``{methods}`` of a docstring by the descriptions of methods."""
 
     def fill(match):
-        about = {name: one.function.__doc__.partition("Parameters\n")[0] for name, one in methods.items()}
+        about = {name: method.function.__doc__.partition("Parameters\n")[0] for name, method in methods.items()}
         texts = " ".join(f"``{name}``: {text}" for name, text in about.items())
         return textwrap.fill(" ".join(texts.split()), WIDTH, initial_indent=match[1], subsequent_indent=match[1])
 
-    def decorate(thing):
-        if thing.__doc__:  # the option -OO of Python removes docstrings
-            thing.__doc__ = re.sub(r"^( *)\{methods\}$", fill, thing.__doc__, flags=re.MULTILINE)
-        return thing
+    def decorate(documented):
+        if documented.__doc__:  # the option -OO of Python removes docstrings
+            documented.__doc__ = re.sub(r"^( *)\{methods\}$", fill, documented.__doc__, flags=re.MULTILINE)
+        return documented
 
     return decorate

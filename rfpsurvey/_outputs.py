@@ -66,10 +66,10 @@ def check_separate(outputs: Iterable, inputs: Iterable = ()) -> None:
 def _identity(path: Path) -> object:
     """Return a value that is equal for two paths of the same file."""
     try:
-        found = path.stat()
+        status = path.stat()
     except (OSError, ValueError):
         return os.path.realpath(path.parent), path.name
-    return found.st_dev, found.st_ino
+    return status.st_dev, status.st_ino
 
 
 def check_new_folder(path: str | os.PathLike) -> Path:

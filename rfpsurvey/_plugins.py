@@ -16,11 +16,9 @@ class Plugin:
     what: str
     name: str
     value: object
-    package: str = ""
-    """Name of the distribution that contains the plugin; empty text for a function that a user provides."""
+    package: str = ""  # name of the distribution of the plugin; empty for a function that a user provides
     version: str = ""
-    place: str = ""
-    """Module and name of the object in the package, as stated by the entry point."""
+    place: str = ""  # module and name of the object in the package, as stated by the entry point
 
     def __str__(self):
         origin = f" of {self.package} {self.version} ({self.place})" if self.package else ""
@@ -58,8 +56,8 @@ def find_plugin(group: str, name: object, known: Iterable[str], what: str) -> Pl
     if isinstance(name, str):
         with suppress(LookupError):
             return _load(group, name, what)
-    others = ", or a TOML file" if what == "instrument" else ""
-    return _load(group, check_choice(name, {*known, *plugin_names(group)}, what, others=others), what)
+    also = ", or a TOML file" if what == "instrument" else ""
+    return _load(group, check_choice(name, {*known, *plugin_names(group)}, what, also=also), what)
 
 
 def find_function(group: str, given: object, known: Iterable[str], what: str) -> Plugin:
@@ -78,8 +76,8 @@ def name_of(given: str | Callable) -> str:
     """Return a given name, or the module and name of a given function as ASCII text, which results can record."""
     if not callable(given):
         return given
-    thing = given if hasattr(given, "__qualname__") else type(given)
-    return ascii(f"{thing.__module__}.{thing.__qualname__}")[1:-1]
+    definition = given if hasattr(given, "__qualname__") else type(given)
+    return ascii(f"{definition.__module__}.{definition.__qualname__}")[1:-1]
 
 
 def recorded_name(group: str, known: Iterable[str], name: str, parameter: str) -> str:
@@ -98,12 +96,12 @@ def _load(group: str, name: str, what: str) -> Plugin:
     points = entry_points(group=group, name=name)
     if not points:
         raise LookupError(name)
-    found = [Plugin(what, name, None, point.dist.name, point.dist.version, point.value) for point in points]
-    if len(found) > 1:
-        packages = ", ".join(sorted(f"{one.package} {one.version}" for one in found))
+    plugins = [Plugin(what, name, None, point.dist.name, point.dist.version, point.value) for point in points]
+    if len(plugins) > 1:
+        packages = ", ".join(sorted(f"{plugin.package} {plugin.version}" for plugin in plugins))
         raise InputError(
             f"several packages add the {what} {name!r}: {packages}; uninstall all but one of these packages"
         )
-    (plugin,), (point,) = found, points
+    (plugin,), (point,) = plugins, points
     with plugin.answering():
         return replace(plugin, value=point.load())

@@ -20,7 +20,7 @@ def to_kinds(values: object, name: str, *, strict: bool = True) -> np.ndarray:
     """
     values = to_plain(values, name).astype(str)
     kinds, rows = np.unique(values, return_inverse=True)
-    found = []
+    ordered = []
     for kind in kinds.tolist():
         roles = {role.strip() for role in kind.lower().split("+")}
         if strict and not roles <= {*KINDS}:
@@ -28,20 +28,20 @@ def to_kinds(values: object, name: str, *, strict: bool = True) -> np.ndarray:
                 f"{name} must be science, standard or sky, or several of them joined by '+', such as "
                 f"science+standard, got {short(kind)}"
             )
-        found.append("+".join(role for role in KINDS if role in roles) if roles <= {*KINDS} else kind)
-    found = np.array(found, dtype=str)
+        ordered.append("+".join(role for role in KINDS if role in roles) if roles <= {*KINDS} else kind)
+    ordered = np.array(ordered, dtype=str)
     # equal catalogs have the same digest only if the length of the text remains the same
-    return found.astype(np.promote_types(found.dtype, values.dtype))[rows].reshape(values.shape)
+    return ordered.astype(np.promote_types(ordered.dtype, values.dtype))[rows].reshape(values.shape)
 
 
 def has_role(kind: np.ndarray, role: str) -> np.ndarray:
     """Return whether each target has a role; ``kind`` contains kinds as `to_kinds` returns them."""
-    found = kind == role
+    matches = kind == role
     if np.asarray(kind).dtype.itemsize > 4 * len("standard"):  # other kinds are too short for several roles
         for joined in JOINED:
             if role in joined.split("+"):
-                found = found | (kind == joined)
-    return found
+                matches = matches | (kind == joined)
+    return matches
 
 
 def count_also_science(kind: np.ndarray, counted: Iterable[str]) -> int:
@@ -49,8 +49,8 @@ def count_also_science(kind: np.ndarray, counted: Iterable[str]) -> int:
 
     ``counted`` contains the kinds and categories that requirements count.
     """
-    others = [has_role(kind, role) for role in {*KINDS[1:]}.intersection(counted)]
-    return int((has_role(kind, "science") & np.any(others, axis=0)).sum())
+    has_counted = [has_role(kind, role) for role in {*KINDS[1:]}.intersection(counted)]
+    return int((has_role(kind, "science") & np.any(has_counted, axis=0)).sum())
 
 
 def without_science(kind: np.ndarray) -> np.ndarray:
@@ -60,7 +60,7 @@ def without_science(kind: np.ndarray) -> np.ndarray:
 
 def last_role(kind: np.ndarray) -> np.ndarray:
     """Return the last role of each target, for files that have one role for each target."""
-    return np.array([one.rpartition("+")[2] for one in kind.tolist()], dtype=kind.dtype)
+    return np.array([roles.rpartition("+")[2] for roles in kind.tolist()], dtype=kind.dtype)
 
 
 def without_role(kind: np.ndarray, role: str, where: np.ndarray) -> np.ndarray:
@@ -75,8 +75,8 @@ def _without(kind: np.ndarray, text: str) -> np.ndarray:
 def count_roles(kind: np.ndarray) -> str:
     """Return text with the number of targets of each kind, or empty text if no target has several roles."""
     kinds, counts = np.unique(kind, return_counts=True)
-    order = [one for one in (*JOINED, *KINDS) if one in kinds]
+    order = [roles for roles in (*JOINED, *KINDS) if roles in kinds]
     if not {*order} & {*JOINED}:
         return ""
     number = dict(zip(kinds.tolist(), counts.tolist(), strict=True))
-    return "roles: " + ", ".join(f"{number[one]} {one.replace('+', ' and ')}" for one in order)
+    return "roles: " + ", ".join(f"{number[roles]} {roles.replace('+', ' and ')}" for roles in order)

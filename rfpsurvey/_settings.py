@@ -42,35 +42,23 @@ DIGITS = 13
 class Option:
     """The description of an option, apart from its type, its unit and its help."""
 
+    # limits of a number, or of a quantity in the unit of the annotation; ``low`` and ``high`` are valid values, and are
+    # the only limits of whole numbers, whose ``low`` is 1 by default
     above: float | None = None
     low: float | None = None
     below: float | None = None
     high: float | None = None
-    """Limits of a number, or of a quantity in the unit of the annotation; ``low`` and ``high`` are valid values.
-
-    Whole numbers have only the limits ``low``, which is 1 by default, and ``high``.
-    """
     choices: Collection[str] = ()
-    what: str = ""
-    """Name of the option in error messages; by default, the name of its field."""
-    words: str = ""
-    """Text that states which values are valid, for error messages about objects of other types."""
-    convert: Callable | None = None
-    """Function that checks and converts a value, in place of all other checks except for the limits of a quantity."""
-    record: str | None = ""
-    """Name in records; by default, the name of the field with the unit. None if records do not contain the option."""
-    unit: u.UnitBase | None = None
-    """Unit of the number in records, if it differs from the unit of the annotation."""
-    to_record: Callable | str | None = None
-    """Function that converts a value to the value in records, or the name of an attribute with this value."""
-    from_record: Callable | None = None
-    """Function that converts the value in records back."""
-    by_record: bool = False
-    """Whether values are equal if their values in records are equal, although ``to_record`` converts them."""
-    sparse: bool = False
-    """Whether records omit the default value."""
-    text: str = ""
-    """Text for readers who do not know the name of the option; ``{:g}`` stands for the number."""
+    what: str = ""  # name of the option in error messages; by default, the name of its field
+    words: str = ""  # text that states which values are valid, for error messages about objects of other types
+    convert: Callable | None = None  # checks and converts a value, in place of all checks but limits of quantities
+    record: str | None = ""  # name in records, by default that of the field with the unit; None: not in records
+    unit: u.UnitBase | None = None  # unit of the number in records, if it differs from the unit of the annotation
+    to_record: Callable | str | None = None  # function, or name of the attribute, that gives the value in records
+    from_record: Callable | None = None  # function that converts the value in records back
+    by_record: bool = False  # whether values are compared as in records, after ``to_record``
+    sparse: bool = False  # whether records omit the default value
+    text: str = ""  # text for readers who do not know the name of the option; ``{:g}`` stands for the number
 
     def contains(self, number: float) -> bool:
         """Return whether a number is finite and within the limits."""
@@ -111,7 +99,7 @@ def members_of(hint: object) -> list:
     if get_origin(hint) is Annotated:
         return members_of(get_args(hint)[0])
     if get_origin(hint) in (Union, UnionType):
-        return [kind for one in get_args(hint) for kind in members_of(one)]
+        return [kind for member in get_args(hint) for kind in members_of(member)]
     return [hint]
 
 
@@ -120,7 +108,7 @@ def extra_of(hint: object) -> list:
     if get_origin(hint) is Annotated:
         inside, *extra = get_args(hint)
         return [*extra, *extra_of(inside)]
-    return [one for member in get_args(hint) for one in extra_of(member)]
+    return [extra for member in get_args(hint) for extra in extra_of(member)]
 
 
 @dataclass(frozen=True)
@@ -132,18 +120,17 @@ class OptionField:
     default: object
     compare: bool
     option: Option
-    named: str
-    """Name in error messages."""
+    named: str  # name in error messages
 
     @cached_property
     def kinds(self) -> dict[type, tuple]:
         """The types of the annotation, with the arguments of types such as ``list[int]``."""
-        return {get_origin(one) or one: get_args(one) for one in members_of(self.hint)}
+        return {get_origin(member) or member: get_args(member) for member in members_of(self.hint)}
 
     @cached_property
     def units(self) -> tuple[u.UnitBase, ...]:
         """The units of the annotation, of which the value has one; none if the value is no quantity."""
-        return tuple(dict.fromkeys(one for one in extra_of(self.hint) if isinstance(one, u.UnitBase)))
+        return tuple(dict.fromkeys(unit for unit in extra_of(self.hint) if isinstance(unit, u.UnitBase)))
 
     @cached_property
     def records(self) -> dict[str, u.UnitBase | None]:
@@ -155,20 +142,20 @@ class OptionField:
     def unit_of(self, value: object) -> u.UnitBase | None:
         """Return the unit in records of a value; the last unit if the value has none."""
         given = getattr(value, "unit", None)
-        fits = [one for one in self.records.values() if given is not None and given.is_equivalent(one)]
+        fits = [unit for unit in self.records.values() if given is not None and given.is_equivalent(unit)]
         return [*self.records.values(), *fits[:1]][-1]
 
     def valid(self, value: object) -> object:
         """Return a value after its check."""
-        one, what = self.option, self.named
+        option, what = self.option, self.named
         kinds = [kind for kind in self.kinds if kind is not NoneType]
         if value is None and (NoneType in self.kinds or self.default is None) and self.default in (None, MISSING):
             return None
-        if one.convert is not None:
-            value = one.convert(value)
+        if option.convert is not None:
+            value = option.convert(value)
             return self._quantity(value, what) if self.units else value
-        if one.choices:
-            return check_choice(value, one.choices, what)
+        if option.choices:
+            return check_choice(value, option.choices, what)
         if self.units and isinstance(value, dict) and dict in kinds:
             return {name: self._quantity(inside, f"{what} of {name}") for name, inside in value.items()}
         if self.units:
@@ -176,30 +163,30 @@ class OptionField:
         if kinds == [bool]:
             return check_switch(value, what)
         if kinds == [float]:
-            return number_within(value, what, one)
+            return number_within(value, what, option)
         if kinds == [int]:
-            return check_whole(value, what, 1 if one.low is None else one.low, one.high)
+            return check_whole(value, what, 1 if option.low is None else option.low, option.high)
         types = tuple(kind for kind in kinds if isinstance(kind, type))
         # text can be empty only if this is the default value
         is_blank = kinds == [str] and self.default != "" and isinstance(value, str) and not value.strip()
         if object in kinds or (isinstance(value, types) and not is_blank):
             return value
-        words = one.words or ("text" if kinds == [str] else listed(kind.__name__ for kind in types))
+        words = option.words or ("text" if kinds == [str] else listed(kind.__name__ for kind in types))
         raise refusal(f"{what} must be {words}", value, *types)
 
     def _quantity(self, value: object, what: str) -> object:
-        one, unit = self.option, self.units[0]
+        option, unit = self.option, self.units[0]
         if len(self.units) > 1:
             given = getattr(value, "unit", None)
             unit = next((unit for unit in self.units if given is not None and given.is_equivalent(unit)), None)
             if unit is None:
                 kind = InputTypeError if given is None else InputUnitsError
-                raise kind(f"{what} must be {one.words}, got {short(value)}{' without a unit' * (given is None)}")
+                raise kind(f"{what} must be {option.words}, got {short(value)}{' without a unit' * (given is None)}")
         number = to_unit(value, unit, what)
         if number.shape != ():
             raise InputError(f"{what} must be one value, got the shape {number.shape}")
-        if not one.contains(number):
-            raise InputError(f"{what} must be one finite value{one.limits(unit)}, got {value}")
+        if not option.contains(number):
+            raise InputError(f"{what} must be one finite value{option.limits(unit)}, got {value}")
         return value
 
     def plain(self, value: object, settings: object = None) -> object:
@@ -208,7 +195,7 @@ class OptionField:
         if value is None or convert is not None:
             return None if value is None else getattr(settings, convert) if isinstance(convert, str) else convert(value)
         if isinstance(value, dict):
-            return {name: self.plain(one) for name, one in value.items()}
+            return {name: self.plain(item) for name, item in value.items()}
         return float(value.to_value(self.unit_of(value))) if isinstance(value, u.Quantity) else value
 
     def restored(self, value: object, name: str = "") -> object:
@@ -219,7 +206,7 @@ class OptionField:
             with refusing(f"{self.named} must be a value of a record", value, object):
                 return self.option.from_record(value)
         if isinstance(value, dict):
-            return {key: self.restored(one, name) for key, one in value.items()}
+            return {key: self.restored(item, name) for key, item in value.items()}
         unit = self.records.get(name, next(iter(self.records.values())))
         return value if unit is None else number_within(value, self.named) * unit
 
@@ -256,26 +243,26 @@ def not_invertible(text: str) -> Callable:
 @cache
 def options_of(cls: type) -> tuple[OptionField, ...]:
     """Return the options of a dataclass, in the order of its fields; the annotation can contain the description."""
-    found = []
-    for one in fields(cls):
-        given = (one.metadata.get("option"), *(extra for extra in extra_of(one.type) if isinstance(extra, Option)))
+    options = []
+    for f in fields(cls):
+        given = (f.metadata.get("option"), *(extra for extra in extra_of(f.type) if isinstance(extra, Option)))
         described = next((extra for extra in given if extra is not None), Option())
-        if one.init:
-            named = described.what or getattr(cls, "_what", "{}").format(one.name)
-            found.append(OptionField(one.name, one.type, one.default, one.compare, described, named))
-    return tuple(found)
+        if f.init:
+            named = described.what or getattr(cls, "_what", "{}").format(f.name)
+            options.append(OptionField(f.name, f.type, f.default, f.compare, described, named))
+    return tuple(options)
 
 
 @cache
 def help_texts(cls: type) -> dict[str, str]:
     """Return the documentation of each parameter in the docstrings of a class and its bases, as plain text."""
-    found = {}
-    for one in reversed(cls.__mro__):
-        section = cleandoc(one.__doc__ or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
+    texts = {}
+    for base in reversed(cls.__mro__):
+        section = cleandoc(base.__doc__ or "").partition("Parameters\n----------\n")[2].partition("\n\n")[0]
         for names, text in findall(r"^(\w[\w, ]*) : .*\n((?:    .*(?:\n|$))+)", section, MULTILINE):
             plain = sub(r"`+~?([^`]*)`+", r"\1", " ".join(text.split()))
-            found |= dict.fromkeys(names.split(", "), plain)
-    return found
+            texts |= dict.fromkeys(names.split(", "), plain)
+    return texts
 
 
 class Checked:
@@ -285,11 +272,11 @@ class Checked:
     """Text that names an option in error messages; braces stand for its name."""
 
     def __post_init__(self):
-        for one in options_of(type(self)):
-            value = getattr(self, one.name)
-            checked = one.valid(value)
+        for setting in options_of(type(self)):
+            value = getattr(self, setting.name)
+            checked = setting.valid(value)
             if checked is not value:
-                object.__setattr__(self, one.name, checked)
+                object.__setattr__(self, setting.name, checked)
         self._check()
 
     def _check(self) -> None:
@@ -308,13 +295,13 @@ class Settings(Checked, ByValue):
     @property
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store them."""
-        found = {}
-        for one in options_of(type(self)):
-            if one.option.record is not None and not (one.option.sparse and one.is_default(self)):
-                value = getattr(self, one.name)
-                unit = one.unit_of(value)
-                found |= {name: one.plain(value, self) for name, given in one.records.items() if given is unit}
-        return {name: found.pop(name) for name in self._order if name in found} | found
+        record = {}
+        for setting in options_of(type(self)):
+            if setting.option.record is not None and not (setting.option.sparse and setting.is_default(self)):
+                value = getattr(self, setting.name)
+                unit = setting.unit_of(value)
+                record |= {name: setting.plain(value, self) for name, given in setting.records.items() if given is unit}
+        return {name: record.pop(name) for name in self._order if name in record} | record
 
     @classmethod
     def from_record(cls, record: dict, **others: object) -> Any:
@@ -340,14 +327,15 @@ class Settings(Checked, ByValue):
         if not isinstance(record, Mapping):
             raise InputTypeError(f"a record of {cls.__name__} must be a dict, got {short(record)}")
         given = {*others}
-        for one in options_of(cls):
-            name = next((name for name in one.records if name in record), None)
-            if one.name in others:
+        for setting in options_of(cls):
+            name = next((name for name in setting.records if name in record), None)
+            if setting.name in others:
                 continue
-            if name is not None and one.option.record is not None:
-                others[one.name] = one.restored(record[name], name)
-            elif one.default is MISSING:
-                raise InputError(f"a record of {cls.__name__} must contain {listed(one.records)}, got {short(record)}")
+            if name is not None and setting.option.record is not None:
+                others[setting.name] = setting.restored(record[name], name)
+            elif setting.default is MISSING:
+                names = listed(setting.records)
+                raise InputError(f"a record of {cls.__name__} must contain {names}, got {short(record)}")
         return cls(**others)._completed(record, given)
 
     def _completed(self, record: dict, given: Collection[str]) -> Any:
@@ -355,7 +343,7 @@ class Settings(Checked, ByValue):
         return self
 
     def _values(self) -> tuple:
-        return tuple(one.compared(getattr(self, one.name), self) for one in options_of(type(self)) if one.compare)
+        return tuple(f.compared(getattr(self, f.name), self) for f in options_of(type(self)) if f.compare)
 
     def changed(self) -> list[str]:
         """Return the names of the options, except the first, that do not have their default values.
@@ -365,7 +353,7 @@ class Settings(Checked, ByValue):
         list of str
             The names.
         """
-        return [one.name for one in options_of(type(self))[1:] if not one.is_default(self)]
+        return [setting.name for setting in options_of(type(self))[1:] if not setting.is_default(self)]
 
     def __repr__(self):
         first = getattr(self, options_of(type(self))[0].name)

@@ -34,7 +34,7 @@ class ByValue:
         return hash(self._values())
 
     def _values(self) -> tuple:
-        return tuple(value_of(getattr(self, one.name)) for one in fields(self) if one.compare)
+        return tuple(value_of(getattr(self, field.name)) for field in fields(self) if field.compare)
 
 
 def value_of(value: object) -> object:
@@ -52,7 +52,7 @@ def value_of(value: object) -> object:
     if isinstance(value, np.ndarray | np.void):
         return np.shape(value), str(value.dtype), tuple(value.ravel()) if value.dtype.hasobject else value.tobytes()
     if isinstance(value, dict):
-        return frozenset((name, value_of(one)) for name, one in value.items())
+        return frozenset((name, value_of(item)) for name, item in value.items())
     return tuple(map(value_of, value)) if isinstance(value, list | tuple) else value
 
 
@@ -166,10 +166,10 @@ def to_center(center: object, name: str = "center") -> SkyCoord:
         ) from None
 
 
-def to_vectors(coord: object, name: str = "coord", *, one: bool = False) -> np.ndarray:
+def to_vectors(coord: object, name: str = "coord", *, scalar: bool = False) -> np.ndarray:
     """Convert directions to ICRS unit vectors, shape (n, 3); distances are ignored."""
     direction = to_direction(coord, name)
-    if one and not direction.isscalar:
+    if scalar and not direction.isscalar:
         raise InputError(f"{name} must be one direction, got the shape {direction.shape}")
     if direction.ndim > 1:
         raise InputError(f"{name} must have the shape (n,), got {direction.shape}")
@@ -240,9 +240,9 @@ def values_at(values: np.ndarray, row: np.ndarray) -> np.ndarray:
     """Return the values of the given rows; row -1 has the value NaN, empty text, False or -1, depending on the type."""
     if (row >= 0).all():
         return values[row]
-    found = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
-    found[row >= 0] = values[row[row >= 0]]
-    return found
+    picked = np.full(len(row), {"f": np.nan, "U": "", "b": False}.get(values.dtype.kind, -1), dtype=values.dtype)
+    picked[row >= 0] = values[row[row >= 0]]
+    return picked
 
 
 def to_flags(value: object, name: str) -> np.ndarray:
@@ -315,9 +315,9 @@ def to_dimensionless(value: object, name: str) -> np.ndarray:
 
 def check_unique(values: np.ndarray, name: str) -> None:
     """Raise an error if a value occurs more than once."""
-    found, counts = np.unique(values, return_counts=True)
+    unique, counts = np.unique(values, return_counts=True)
     if (counts > 1).any():
-        twice = found[counts > 1].tolist()[0]
+        twice = unique[counts > 1].tolist()[0]
         text = f"{twice:g}" if isinstance(twice, float) else repr(twice)
         raise InputError(f"{name} must be unique, but {text} occurs more than once")
 

@@ -169,17 +169,17 @@ def warn_of_unused(given: Iterable[str], chosen: Collection, methods: Iterable, 
         Noun for a method, such as "allocator".
     """
     for name in given:
-        users = [one.name for one in methods if one.options is not None and name in one.options]
-        if users and not any(one.uses(name) for one in chosen):
+        users = [method.name for method in methods if method.options is not None and name in method.options]
+        if users and not any(method.uses(name) for method in chosen):
             who = f"{', '.join(users[:-1])} and {users[-1]} use" if len(users) > 1 else f"{users[0]} uses"
-            names = dict.fromkeys(repr(one.name) for one in chosen)
+            names = dict.fromkeys(repr(method.name) for method in chosen)
             plural = "s" if len(names) > 1 else ""
             warn_no_effect(name, f"with the {what}{plural} {' and '.join(names)}; only {who} it")
 
 
 def close_to(name: object, choices: Iterable[str], cutoff: float = 0.6) -> str:
     """Return a question that names the choice most similar to ``name``, or empty text if no choice is similar."""
-    lower = {str(one).lower(): str(one) for one in choices}
+    lower = {str(choice).lower(): str(choice) for choice in choices}
     close = get_close_matches(str(name).lower(), sorted(lower), n=1, cutoff=cutoff)
     return f"did you mean {lower[close[0]]!r}?" if close else ""
 
@@ -201,12 +201,12 @@ def brief(values: tuple, most: int = 5) -> str:
     return f"{', '.join(str(value) for value in values[:most])} ({len(values)} in all)"
 
 
-def check_choice(name: object, choices: Iterable[str], what: str, *, others: str = "") -> str:
+def check_choice(name: object, choices: Iterable[str], what: str, *, also: str = "") -> str:
     """Return ``name`` if it is one of ``choices``; otherwise, raise an error that lists all choices."""
     choices = sorted(choices)
     if isinstance(name, str) and name in choices:
         return name
-    known = listed(filter(None, choices), MOST_CHOICES) + others
+    known = listed(filter(None, choices), MOST_CHOICES) + also
     if not isinstance(name, str):
         raise InputTypeError(f"unknown {what} {short(name)}; choose one of: {known}.")
     hint = close_to(name, choices).replace("did", " Did", 1)
@@ -289,5 +289,5 @@ def _instead_of(name, parameters):
     for old, needed, new in RENAMED:
         if old == name and needed in parameters:
             return f"write {new}"
-    names = [one for one in parameters if one not in ("self", "cls")]
+    names = [name for name in parameters if name not in ("self", "cls")]
     return close_to(name, names) or f"its parameters are: {', '.join(names)}"

@@ -73,6 +73,8 @@ def record(
     if (table is None) == (undo is None):
         raise rs.InputError(f"either a table or --undo must be given, got {'neither' if table is None else 'both'}")
     if undo is not None:
+        if replaces or allow_future or column or tile is not None or enough != "1":
+            raise rs.InputError("--undo must be given without options of tables, got such an option")
         said = rs.Survey.read(folder).undo(undo, note=note, dry_run=dry_run)
         _print_changes(said["changes"])
         if said["restored"]:

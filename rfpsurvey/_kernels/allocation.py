@@ -226,12 +226,12 @@ def nominate(
                     continue
                 nominated = True
                 t = target[k]
-                other = nominee_of[t]
+                rival = nominee_of[t]
                 # In a tie, the positioner with the lowest index is kept, because a later one must be strictly better.
                 if (
-                    other < 0
-                    or free_reach[i] < free_reach[other]
-                    or (free_reach[i] == free_reach[other] and r2[k] < nominee_r2[t])
+                    rival < 0
+                    or free_reach[i] < free_reach[rival]
+                    or (free_reach[i] == free_reach[rival] and r2[k] < nominee_r2[t])
                 ):
                     nominee_of[t] = i
                     nominee_r2[t] = r2[k]

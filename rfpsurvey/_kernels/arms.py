@@ -169,7 +169,7 @@ def fill_idle(assigned, idle, segments):
     The segment of an idle arm that is not an obstacle is NaN.
     """
     for row in range(4):
-        own, other = segments[row], idle[row]
+        placed, parked = segments[row], idle[row]
         for i in range(assigned.size):
-            a, b = own[i], other[i]
-            own[i] = a if assigned[i] else b
+            a, b = placed[i], parked[i]
+            placed[i] = a if assigned[i] else b

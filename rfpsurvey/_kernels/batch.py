@@ -22,10 +22,8 @@ class CollisionSetup(NamedTuple):
     length: float
     cosine: np.ndarray
     sine: np.ndarray
-    idle: np.ndarray
-    """Elbow and tip of each arm in the idle state, shape (4, n); NaN if the idle arm is not an obstacle."""
-    parked: np.ndarray
-    """Whether each positioner is counted even if it has no target."""
+    idle: np.ndarray  # elbow and tip of each arm in the idle state, shape (4, n); NaN if it is no obstacle
+    parked: np.ndarray  # whether each positioner is counted even if it has no target
     obstacle_pairs: np.ndarray
     obstacles: np.ndarray
     clearance: float
@@ -64,8 +62,8 @@ def mark_colliding(setup, workspace, slack):
                 n_pairs += 1
                 w.colliding[w.first[k]] = w.colliding[w.second[k]] = True
     if pairs.shape[0] > 0:
-        own, hits, gaps = np.arange(w.assigned.size), np.empty_like(pairs), np.empty(pairs.shape[0])
-        n_hits = colliding_obstacles(w.segments, own, setup.limits, pairs, circles, setup.clearance, slack, hits, gaps)
+        rows, hits, gaps = np.arange(w.assigned.size), np.empty_like(pairs), np.empty(pairs.shape[0])
+        n_hits = colliding_obstacles(w.segments, rows, setup.limits, pairs, circles, setup.clearance, slack, hits, gaps)
         for k in range(n_hits):
             i, j = hits[k, 0], hits[k, 1]
             radius = circles[j, 2] if j < circles.shape[0] else 0.0
@@ -78,15 +76,15 @@ def mark_colliding(setup, workspace, slack):
 def count(setup, workspace, slack, counts, times):
     """Count the collisions of the arms in the workspace, and add 1 to ``times[i]`` for each colliding positioner i."""
     counts[PAIRS], counts[OBSTACLE_PAIRS], counts[BORDERLINE] = mark_colliding(setup, workspace, slack)
-    assigned = both = counted = n = 0
+    assigned = n_both = counted = n = 0
     for i in range(workspace.assigned.size):
         counts_too = workspace.assigned[i] | setup.parked[i]
         assigned += workspace.assigned[i]
         counted += counts_too
         n += workspace.colliding[i] & counts_too
-        both += workspace.colliding[i] & workspace.assigned[i]
+        n_both += workspace.colliding[i] & workspace.assigned[i]
         times[i] += workspace.colliding[i]
-    counts[ASSIGNED], counts[COUNTED], counts[COLLIDING], counts[COLLIDING_ASSIGNED] = assigned, counted, n, both
+    counts[ASSIGNED], counts[COUNTED], counts[COLLIDING], counts[COLLIDING_ASSIGNED] = assigned, counted, n, n_both
 
 
 @kernel

@@ -51,16 +51,11 @@ class Limits(NamedTuple):
     """
 
     separation: float
-    slack: float
-    """Distance that is added to the minimum separation when pairs are preselected."""
-    near: float
-    """Largest distance between the midpoints of a pair that can collide, including the slack."""
-    band: float
-    """Largest difference between a squared distance and separation^2 for which rounding could change the result."""
-    outline: Outline
-    """Outline of the arms; it has no parts if the arms are capsules."""
-    polygons: Polygons
-    """Polygons of the focal plane that no arm may touch."""
+    slack: float  # distance that is added to the minimum separation when pairs are preselected
+    near: float  # largest distance between the midpoints of a pair that can collide, including the slack
+    band: float  # largest difference of a squared distance from separation^2 that rounding could explain
+    outline: Outline  # outline of the arms; it has no parts if the arms are capsules
+    polygons: Polygons  # polygons of the focal plane that no arm may touch
 
 
 def limits(separation, length, extent, outline=NO_OUTLINE, outline_error=0.0, polygons=NO_POLYGONS):

@@ -19,22 +19,16 @@ class Options(NamedTuple):
     """Candidates with their classes, costs and collisions; the target of an idle arm is -1."""
 
     start: np.ndarray
-    own: np.ndarray
+    owner: np.ndarray
     target: np.ndarray
-    rank: np.ndarray
-    """Class of each candidate; 0 is the most important."""
-    cost: np.ndarray
-    """Preference among candidates of equal rank; lower costs are better."""
-    key: np.ndarray
-    """Candidates that count toward the same requirements have the same key."""
-    as_good: np.ndarray
-    """``as_good[key[a], key[b]]`` states whether candidate a meets the requirements at least as well as candidate b."""
+    rank: np.ndarray  # class of each candidate; 0 is the most important
+    cost: np.ndarray  # preference among candidates of equal rank; lower costs are better
+    key: np.ndarray  # candidates that count toward the same requirements have the same key
+    as_good: np.ndarray  # as_good[key[a], key[b]]: candidate a meets the requirements at least as well as b
     t_indptr: np.ndarray
-    t_candidate: np.ndarray
-    """Indices of candidates, sorted by target; the candidates of target t begin at ``t_indptr[t]``."""
+    t_candidate: np.ndarray  # candidates of each target, as compressed rows
     indptr: np.ndarray
-    other: np.ndarray
-    """Candidates that collide with each candidate; the list for candidate c begins at ``indptr[c]``."""
+    excluded: np.ndarray  # candidates that collide with each candidate, as compressed rows
 
 
 @kernel
@@ -54,7 +48,7 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
     near = np.empty(size, np.int64)
     back, mid_x, mid_y = np.empty(size), np.empty(size), np.empty(size)
     marks = np.empty(size, np.bool_)
-    one, two = np.empty(BATCH + size, np.int64), np.empty(BATCH + size, np.int64)
+    firsts, seconds = np.empty(BATCH + size, np.int64), np.empty(BATCH + size, np.int64)
     while p < pairs.shape[0]:
         i, j = pairs[p, 0], pairs[p, 1]
         a0, a1, b0, b1 = start[i], start[i + 1], start[j], start[j + 1]
@@ -72,20 +66,21 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
             m += ahead[b] - foremost <= touching
         a = a0
         while a < a1:
-            found = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
-            while a < a1 and found < BATCH:
+            n_near = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
+            while a < a1 and n_near < BATCH:
                 line = ahead[a] + touching
                 if hindmost <= line:
                     x, y = halves[0, a], halves[1, a]
                     for k in range(m):
                         dx, dy = mid_x[k] - x, mid_y[k] - y
                         marks[k] = (dx * dx + dy * dy <= near2) & (back[k] <= line)
+                    # without a branch: the next pair overwrites a pair that is not marked
                     for k in range(m):
-                        one[found], two[found] = a, near[k]
-                        found += marks[k]
+                        firsts[n_near], seconds[n_near] = a, near[k]
+                        n_near += marks[k]
                 a += 1
-            for k in range(keep_near(halves, found, touching**2, one, two)):
-                c, d = one[k], two[k]
+            for k in range(keep_near(halves, n_near, touching**2, firsts, seconds)):
+                c, d = firsts[k], seconds[k]
                 d2 = pair_squared(segments, c, d)
                 first[n], second[n], borderline[n] = c, d, d2 >= limit - band
                 n += outlined | (d2 < limit + band)
@@ -93,20 +88,20 @@ def list_conflicts(pairs, p, geometry, start, segments, halves, limits, first, s
 
 
 @kernel
-def keep_outlined(n, own, segments, limits, first, second, borderline):
+def keep_outlined(n, owner, segments, limits, first, second, borderline):
     """Test the first n candidate pairs, and keep those whose outlines collide, in place; return their number."""
     m = 0
     limit, band = squared_limit(limits), limits.band
     for k in range(n):
         a, b = first[k], second[k]
-        d2 = outlined_squared(segments, a, b, limits, own[a], own[b])
+        d2 = outlined_squared(segments, a, b, limits, owner[a], owner[b])
         first[m], second[m], borderline[m] = a, b, d2 >= limit - band
         m += d2 < limit + band
     return m
 
 
 @kernel
-def adjacency(first, second, indptr, other):
+def adjacency(first, second, indptr, excluded):
     """Write each pair (a, b) to compressed rows twice: b to the row of a, and a to the row of b."""
     indptr[:] = 0
     for k in range(first.size):
@@ -117,9 +112,9 @@ def adjacency(first, second, indptr, other):
     fill = indptr[:-1].copy()
     for k in range(first.size):
         a, b = first[k], second[k]
-        other[fill[a]] = b
+        excluded[fill[a]] = b
         fill[a] += 1
-        other[fill[b]] = a
+        excluded[fill[b]] = a
         fill[b] += 1
 
 
@@ -142,6 +137,7 @@ def join(first, second, label):
     """
     for k in range(first.size):
         a, b = first[k], second[k]
+        # union-find with path halving; the root of a set is its smallest element
         while label[a] != a:
             label[a] = label[label[a]]
             a = label[a]
@@ -149,21 +145,22 @@ def join(first, second, label):
             label[b] = label[label[b]]
             b = label[b]
         label[max(a, b)] = min(a, b)
-    for a in range(label.size):
+    for a in range(label.size):  # all smaller elements already have their root as label
         label[a] = label[label[a]]
 
 
 @kernel
-def grow_cliques(own, indptr, other, first, covered, row_start, out, most_work):
+def grow_cliques(owner, indptr, excluded, first, covered, row_start, out, most_work):
     """Cover conflicts of candidates with maximal cliques, beginning with the conflicts of candidate ``first``.
 
-    The row of candidate a in ``indptr`` and ``other`` lists the candidates of other positioners that a excludes. A
+    The row of candidate a in ``indptr`` and ``excluded`` lists the candidates of other positioners that a excludes. A
     clique is made from a conflict that no earlier clique contains. The candidate with the most conflicts with members
     of the clique that no clique contains is added, until no candidate excludes all members. ``covered`` marks the
     conflicts that a clique contains. The function ends when ``row_start`` or ``out`` is full or after about
     ``most_work`` steps. Returns the first candidate whose conflicts are not yet covered, and the number of cliques.
     """
-    n = own.size
+    n = owner.size
+    # an element of ``stamp`` that equals ``serial`` is marked; a new serial number removes all marks
     pool, gain, stamp = np.empty(n, np.int64), np.zeros(n, np.int64), np.zeros(n, np.int64)
     rows = work = serial = 0
     for a in range(first, n):
@@ -175,10 +172,10 @@ def grow_cliques(own, indptr, other, first, covered, row_start, out, most_work):
                 return a, rows
             serial += 1
             m = 0
-            for c in (a, other[k]):
+            for c in (a, excluded[k]):
                 for q in range(indptr[c], indptr[c + 1]):
-                    d = other[q]
-                    if stamp[d] != serial and d != a and d != other[k]:
+                    d = excluded[q]
+                    if stamp[d] != serial and d != a and d != excluded[k]:
                         pool[m], stamp[d], gain[d] = d, serial, 0
                         m += 1
             c, hi = a, lo
@@ -187,26 +184,27 @@ def grow_cliques(own, indptr, other, first, covered, row_start, out, most_work):
                 hi += 1
                 serial += 1
                 for q in range(indptr[c], indptr[c + 1]):
-                    stamp[other[q]] = serial
-                    gain[other[q]] += not covered[q]
+                    stamp[excluded[q]] = serial
+                    gain[excluded[q]] += not covered[q]
                 work += indptr[c + 1] - indptr[c] + m
                 kept, best, most = 0, -1, 0
                 for p in range(m):
                     d = pool[p]
-                    if d != c and (stamp[d] == serial or own[d] == own[c]):
+                    # candidates of one positioner exclude each other as well
+                    if d != c and (stamp[d] == serial or owner[d] == owner[c]):
                         pool[kept] = d
                         kept += 1
                         n_d = indptr[d + 1] - indptr[d]
                         if best < 0 or gain[d] > gain[best] or (gain[d] == gain[best] and n_d > most):
                             best, most = d, n_d
                 m = kept
-                c = other[k] if hi == lo + 1 else best
+                c = excluded[k] if hi == lo + 1 else best
             serial += 1
             for p in range(lo, hi):
                 stamp[out[p]] = serial
             for p in range(lo, hi):
                 for q in range(indptr[out[p]], indptr[out[p] + 1]):
-                    covered[q] |= stamp[other[q]] == serial
+                    covered[q] |= stamp[excluded[q]] == serial
             out[lo:hi].sort()
             rows += 1
             row_start[rows] = hi

@@ -26,28 +26,20 @@ EQUAL = 1e-12
 class Goals(NamedTuple):
     """What counts in a plan in addition to the classes of the targets, for each candidate and each requirement."""
 
-    required: np.ndarray
-    """Whether each candidate observes a required target."""
-    worth: np.ndarray
-    """Subpriority of the science target of each candidate; 0 for other candidates."""
+    required: np.ndarray  # whether each candidate observes a required target
+    worth: np.ndarray  # subpriority of the science target of each candidate; 0 for other candidates
     indptr: np.ndarray
-    group: np.ndarray
-    """Requirements toward which each candidate counts, as compressed rows."""
-    least: np.ndarray
+    group: np.ndarray  # requirements toward which each candidate counts, as compressed rows
+    least: np.ndarray  # smallest number of candidates of each requirement
     most: np.ndarray
-    """Smallest and largest number of candidates of each requirement."""
     n_classes: int
-    all_first: bool
-    """Whether the number of science targets is more important than their classes."""
-    science: np.ndarray
-    near: np.ndarray
-    """Whether each candidate is a science fiber, or a neighbor, of each rule on the distribution of fibers."""
+    all_first: bool  # whether the number of science targets is more important than their classes
+    science: np.ndarray  # whether each candidate is a science fiber of each distribution rule
+    near: np.ndarray  # whether each candidate is a neighbor of each distribution rule
     close_indptr: np.ndarray
-    close: np.ndarray
-    """Targets within the distance of a rule from each target, as compressed rows, which begin at close_indptr[rule]."""
-    k: np.ndarray
-    percent: np.ndarray
-    """Number of neighbors of each rule, and percentage of the science fibers that need them."""
+    close: np.ndarray  # for each rule and target, the targets within the distance of the rule, as compressed rows
+    k: np.ndarray  # number of neighbors that each rule demands
+    percent: np.ndarray  # percentage of the science fibers that need these neighbors
 
 
 class Plan(NamedTuple):
@@ -56,31 +48,23 @@ class Plan(NamedTuple):
     chosen: np.ndarray
     blocked: np.ndarray
     holder: np.ndarray
-    count: np.ndarray
-    """Number of candidates of each requirement."""
-    n_near: np.ndarray
-    is_used: np.ndarray
-    """Number of neighbors of each target, and whether it is observed as a science target, for each rule."""
-    n_science: np.ndarray
-    n_served: np.ndarray
-    """Number of science fibers of each rule, and of those that have enough neighbors."""
+    count: np.ndarray  # number of candidates of each requirement
+    n_near: np.ndarray  # number of neighbors of each target, for each rule
+    is_used: np.ndarray  # whether each target is observed as a science target, for each rule
+    n_science: np.ndarray  # number of science fibers of each rule
+    n_served: np.ndarray  # number of these science fibers that have enough neighbors
 
 
 class Move(NamedTuple):
     """The steps of a move, the changes that they make, and the positioners that block the new candidate."""
 
-    n: np.ndarray
-    """Number of steps, shape (1,)."""
-    own: np.ndarray
-    before: np.ndarray
-    """Positioner of each step, and its candidate before the step."""
+    n: np.ndarray  # number of steps, shape (1,)
+    owner: np.ndarray
+    before: np.ndarray  # candidate of the positioner of each step before the step
+    # changes of: -excess over maxima, required targets, -lack, science targets, sum of subpriorities, sum of costs
     sums: np.ndarray
-    """Changes of: excess over maxima (negative), required targets, lack (negative), science targets, subpriorities,
-    and the sum of the costs."""
-    ranks: np.ndarray
-    """Number of changed classes, followed by these classes."""
-    net: np.ndarray
-    """Change of the number of targets of each class."""
+    ranks: np.ndarray  # number of changed classes, followed by these classes
+    net: np.ndarray  # change of the number of targets of each class
     blockers: np.ndarray
 
 
@@ -94,10 +78,10 @@ def new_move(n_classes: int) -> Move:
 @inner_kernel
 def step(i, c, options, goals, plan, move):
     """Assign candidate c to positioner i (none if c = -1), and update the plan and the changes of the move."""
-    indptr, other, target, rank = options.indptr, options.other, options.target, options.rank
+    indptr, excluded, target, rank = options.indptr, options.excluded, options.target, options.rank
     holder, blocked, count, sums, net = plan.holder, plan.blocked, plan.count, move.sums, move.net
     old, n = plan.chosen[i], move.n[0]
-    move.own[n], move.before[n] = i, old
+    move.owner[n], move.before[n] = i, old
     move.n[0] += 1
     plan.chosen[i] = c
     if old >= 0 and target[old] >= 0 and holder[target[old]] == i:
@@ -109,10 +93,10 @@ def step(i, c, options, goals, plan, move):
         if d < 0:
             continue
         for k in range(indptr[d], indptr[d + 1]):
-            blocked[other[k]] += sign
+            blocked[excluded[k]] += sign
         for k in range(goals.indptr[d], goals.indptr[d + 1]):
             g = goals.group[k]
-            low = min(count[g], count[g] + sign)
+            low = min(count[g], count[g] + sign)  # the number changes between this number and the next one
             sums[0] -= sign * (low >= goals.most[g])
             sums[2] += sign * (low < goals.least[g])
             count[g] += sign
@@ -132,6 +116,7 @@ def step(i, c, options, goals, plan, move):
 @inner_kernel
 def lack_of_rule(r, goals, plan):
     """Return how many more science fibers would need neighbors so that a plan complies with rule r."""
+    # a product that rounding makes slightly larger than a whole number does not count as the next number
     return max(np.ceil(goals.percent[r] * plan.n_science[r] / 100 - 1e-9) - plan.n_served[r], 0.0)
 
 
@@ -168,7 +153,7 @@ def undo(options, goals, plan, move):
     n = move.n[0]
     for k in range(n - 1, -1, -1):
         move.n[0] = n
-        step(move.own[k], move.before[k], options, goals, plan, move)
+        step(move.owner[k], move.before[k], options, goals, plan, move)
 
 
 @inner_kernel
@@ -195,13 +180,13 @@ def filled(c, now, goals, count):
     n = REQUIRED * goals.required[c]
     for k in range(goals.indptr[c], goals.indptr[c + 1]):
         g = goals.group[k]
-        others = count[g]
+        n_after = count[g]
         if now >= 0:
             for m in range(goals.indptr[now], goals.indptr[now + 1]):
-                others -= goals.group[m] == g
-        if others >= goals.most[g]:
+                n_after -= goals.group[m] == g
+        if n_after >= goals.most[g]:
             return NONE
-        n += others < goals.least[g]
+        n += n_after < goals.least[g]
     return n
 
 
@@ -265,14 +250,14 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
     move.
     """
     chosen, blocked, holder, before, blockers = plan.chosen, plan.blocked, plan.holder, move.before, move.blockers
-    rank, target, indptr, other, worth = options.rank, options.target, options.indptr, options.other, goals.worth
+    rank, target, indptr, excluded, worth = options.rank, options.target, options.indptr, options.excluded, goals.worth
     m, t = 0, target[c]
     if t >= 0 and holder[t] >= 0 and holder[t] != i:
         blockers[0] = holder[t]
         m = 1
     for k in range(indptr[c], indptr[c + 1]):
-        j = options.own[other[k]]
-        if chosen[j] != other[k] or (m > 0 and j == blockers[0]):
+        j = options.owner[excluded[k]]
+        if chosen[j] != excluded[k] or (m > 0 and j == blockers[0]):
             continue
         if m == MOST_BLOCKERS:
             return -1.0
@@ -293,7 +278,7 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
         step(blockers[k], d, options, goals, plan, move)
     for k in range(m + 1):
         old = before[k]
-        if old < 0 or chosen[move.own[k]] == old:
+        if old < 0 or chosen[move.owner[k]] == old:
             continue
         t, n_places = target[old], indptr[old + 1] - indptr[old]
         n_both = n_places
@@ -301,8 +286,8 @@ def attempt(i, c, equal, fixed, options, goals, plan, move, progress):
             n_both += options.t_indptr[t + 1] - options.t_indptr[t]
         for p in range(n_both):
             freed = p - n_places  # the target of the candidate
-            d = other[indptr[old] + p] if freed < 0 else options.t_candidate[options.t_indptr[t] + freed]
-            j = options.own[d]
+            d = excluded[indptr[old] + p] if freed < 0 else options.t_candidate[options.t_indptr[t] + freed]
+            j = options.owner[d]
             now = chosen[j]
             if blocked[d] > 0 or target[d] < 0 or holder[target[d]] >= 0 or rank[d] > rank[now] or fixed[j]:
                 continue

@@ -44,8 +44,8 @@ def is_clear(px, py, separation, x, y, x0, y0, size, nx, ny, start, order):
 
 
 @kernel
-def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_own, out_x, out_y):
-    """Find up to ``most`` points without nearby targets for each positioner in ``own``; return the total number.
+def find_gaps(owners, cx, cy, inner, outer, fraction, most, separation, x, y, grid, out_owner, out_x, out_y):
+    """Find up to ``most`` points without nearby targets for each positioner in ``owners``; return the total number.
 
     ``fraction`` contains, for each tested point, the fraction of the patrol area that is closer to the center of the
     positioner than this point. The direction from the center of the positioner rotates by the golden angle from each
@@ -53,16 +53,16 @@ def find_gaps(own, cx, cy, inner, outer, fraction, most, separation, x, y, grid,
     """
     golden = math.pi * (3.0 - math.sqrt(5.0))
     n = 0
-    for i in own:
+    for i in owners:
         low, high = inner[i] * inner[i], outer[i] * outer[i]
-        found = 0
+        n_points = 0
         for k in range(fraction.size):
             r = math.sqrt(low + fraction[k] * (high - low))
             px, py = cx[i] + r * math.cos(golden * k), cy[i] + r * math.sin(golden * k)
             if is_clear(px, py, separation, x, y, *grid):
-                out_own[n], out_x[n], out_y[n] = i, px, py
+                out_owner[n], out_x[n], out_y[n] = i, px, py
                 n += 1
-                found += 1
-                if found == most:
+                n_points += 1
+                if n_points == most:
                     break
     return n

@@ -87,6 +87,7 @@ def count(
             cuda.atomic.add(counts, (c, BORDERLINE), borderline)
         if touched > 0:
             cuda.atomic.add(counts, (c, OBSTACLE_PAIRS), touched)
+    # all threads of a block must call this function, including those without a positioner
     n_assigned = cuda.syncthreads_count(int32(assigned))
     n_counted = cuda.syncthreads_count(int32(counted))
     n_hit = cuda.syncthreads_count(int32(hit and counted))
@@ -99,7 +100,7 @@ def count(
 
 
 @cuda.jit
-def list_pairs(segments, first, second, reject2, limit, found, squared, n):
+def list_pairs(segments, first, second, reject2, limit, kept, squared, n):
     """List the index k of each pair (``first[k]``, ``second[k]``) whose squared distance is below ``limit``."""
     k = cuda.grid(1)
     if k >= first.size:
@@ -110,4 +111,4 @@ def list_pairs(segments, first, second, reject2, limit, found, squared, n):
     d2 = near_squared(ax, ay, bx, by, px, py, qx, qy, reject2)
     if d2 < limit:
         row = cuda.atomic.add(n, 0, 1)
-        found[row], squared[row] = k, d2
+        kept[row], squared[row] = k, d2

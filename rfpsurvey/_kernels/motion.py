@@ -32,21 +32,15 @@ class Moves(NamedTuple):
     the distance ``length``.
     """
 
-    x: np.ndarray
+    x: np.ndarray  # position of the elbow, mm
     y: np.ndarray
-    """Position of the elbow, mm."""
-    angle: np.ndarray
-    """Direction of the segment at the target, in radians."""
-    turn: np.ndarray
-    """Angle from this direction to the direction of the folded arm, in radians; 0 for arms that do not move."""
+    angle: np.ndarray  # direction of the segment at the target, in radians
+    turn: np.ndarray  # angle from there to the direction of the folded arm, in radians; 0 for arms that do not move
     inner: np.ndarray
     length: np.ndarray
-    reach: np.ndarray
-    """Largest distance of a part of the eccentric arm from the elbow, mm."""
-    circle: np.ndarray
-    """Center and radius of a circle that contains all points of the arm during the motion, shape (3, n)."""
-    sector: np.ndarray
-    """Direction of the axis of the sector that the arm sweeps, and cosine and sine of half its angle, shape (4, n)."""
+    reach: np.ndarray  # largest distance of a part of the eccentric arm from the elbow, mm
+    circle: np.ndarray  # center and radius of a circle that contains the arm during the motion, shape (3, n)
+    sector: np.ndarray  # direction of the axis of the swept sector, cosine and sine of half its angle, shape (4, n)
 
 
 @kernel
@@ -80,9 +74,9 @@ def sectors_apart(moves, a, b, x, y, limit):
     """Return whether the sectors that two arms sweep are farther apart than ``limit`` along the direction (x, y)."""
     inverse = 1.0 / math.sqrt(x * x + y * y)
     ux, uy, v = x * inverse, y * inverse, moves.sector
-    one = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
-    two = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
-    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - one - two > limit
+    extent_a = extent(ux, uy, v[0, a], v[1, a], v[2, a], v[3, a], moves.reach[a])
+    extent_b = extent(-ux, -uy, v[0, b], v[1, b], v[2, b], v[3, b], moves.reach[b])
+    return (moves.x[b] - moves.x[a]) * ux + (moves.y[b] - moves.y[a]) * uy - extent_a - extent_b > limit
 
 
 @kernel
@@ -206,8 +200,8 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
 
     Both arms take the same time or, if ``same_speed`` is true, begin to unfold at the same time with the same speed.
     """
-    one, reach = (moves.x[a], moves.y[a]), moves.reach[a]
-    two = (moves.x[b], moves.y[b])
+    at_a, reach = (moves.x[a], moves.y[a]), moves.reach[a]
+    at_b = (moves.x[b], moves.y[b])
     a_angle, a_turn, a_inner, a_length = moves.angle[a], moves.turn[a], moves.inner[a], moves.length[a]
     b_angle, b_turn, b_inner, b_length = moves.angle[b], moves.turn[b], moves.inner[b], moves.length[b]
     if same_speed and a_turn != 0.0 and b_turn != 0.0:
@@ -215,12 +209,12 @@ def pair_meets(moves, a, b, same_speed, limits, i, j):
         a_first = math.copysign(max(abs(a_turn) - abs(b_turn), 0.0), a_turn)
         b_first = math.copysign(max(abs(b_turn) - abs(a_turn), 0.0), b_turn)
         if arms_meet(
-            *one, a_angle, a_first, a_inner, a_length, *two, b_angle, b_first, b_inner, b_length, reach, limits, i, j
+            *at_a, a_angle, a_first, a_inner, a_length, *at_b, b_angle, b_first, b_inner, b_length, reach, limits, i, j
         ):
             return True
         a_angle, a_turn, b_angle, b_turn = a_angle + a_first, a_turn - a_first, b_angle + b_first, b_turn - b_first
     return arms_meet(
-        *one, a_angle, a_turn, a_inner, a_length, *two, b_angle, b_turn, b_inner, b_length, reach, limits, i, j
+        *at_a, a_angle, a_turn, a_inner, a_length, *at_b, b_angle, b_turn, b_inner, b_length, reach, limits, i, j
     )
 
 

@@ -38,30 +38,19 @@ RADIUS, MX, MY, MR, START = range(5)
 class Outline(NamedTuple):
     """The outline that all positioners have, in mm; if it has no parts, the arms are capsules."""
 
+    # a column for each vertex, with the rows X to LENGTH, then a column for each part, with the rows RADIUS to START;
+    # all data are in one array, because numba counts references to each array that is passed to a function
     table: np.ndarray
-    """Table with a column for each vertex, followed by a column for each part.
-
-    The rows are X to LENGTH for a vertex, and RADIUS to START for a part. All data are in one array, because
-    numba counts references to each array that is passed to a function.
-    """
-    start: np.ndarray
-    """Part p has the vertices ``start[p]:start[p + 1]``; an array with one element means that there is no outline."""
+    start: np.ndarray  # vertices of part p are start[p]:start[p + 1]; an array of one element: there is no outline
     n_vertices: int
-    """Number of vertices."""
-    n_eccentric: int
-    """Number of parts that move with the eccentric arm; all later parts move with the central arm."""
-    offset: float
-    """Largest possible difference between the distance of two cores and the gap of the two outlines."""
-    inverse_length: float
-    """Inverse of the length of the core, which is a segment along the eccentric arm."""
-    scale: float
-    """Twice the largest distance of a vertex from the origin of its frame, plus the offset."""
+    n_eccentric: int  # number of parts that move with the eccentric arm; all later parts move with the central arm
+    offset: float  # largest possible difference between the distance of two cores and the gap of the two outlines
+    inverse_length: float  # inverse of the length of the core, which is a segment along the eccentric arm
+    scale: float  # twice the largest distance of a vertex from the origin of its frame, plus the offset
+    # rectangles that contain the eccentric and the central parts: center and half the lengths of the sides
     eccentric_box: tuple[float, float, float, float]
-    """Center and half the lengths of the sides of a rectangle that contains the eccentric parts."""
     central_box: tuple[float, float, float, float]
-    """Center and half the lengths of the sides of a rectangle that contains the central parts."""
-    centers: np.ndarray
-    """Centers of all positioners, and the inverse length of the central arm, shape (n, 3)."""
+    centers: np.ndarray  # centers of all positioners, and the inverse length of the central arm, shape (n, 3)
 
     @property
     def parts(self) -> np.ndarray:
@@ -85,10 +74,8 @@ NO_OUTLINE = Outline(
 class Polygons(NamedTuple):
     """Convex polygons of the focal plane that no arm may touch."""
 
-    table: np.ndarray
-    """Table with a column for each vertex of the outline of the arms, followed by the vertices of the polygons."""
-    start: np.ndarray
-    """Polygon k has the columns ``start[k]:start[k + 1]``; an array with one element means that there is no polygon."""
+    table: np.ndarray  # a column for each vertex of the outline of the arms, then for each vertex of the polygons
+    start: np.ndarray  # columns of polygon k are start[k]:start[k + 1]; an array of one element: there is no polygon
 
 
 NO_POLYGONS = Polygons(_nothing(5, 0), _nothing(1, dtype=np.int64))
@@ -179,6 +166,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
     gap = math.inf
     for group in range(3):
         if near[group] and gap >= 0.0:
+            # the parts of one positioner, which are compared with the eccentric parts of the other positioner
             first, last = (m, m + n_eccentric) if group == 0 else (m + n_eccentric, m + n)
             if group == 0:
                 between = frames_apart(frame(*a), frame(*b))
@@ -194,6 +182,7 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
                 y = ty + (sine * v[MX, q] + cosine * v[MY, q])
                 for p in range(m, m + n_eccentric):
                     dx, dy = x - v[MX, p], y - v[MY, p]
+                    # a pair is skipped if circles around its parts are too far apart, or after a certain overlap
                     far = min(gap, limit) + v[MR, p] + v[MR, q] + slack
                     if far >= 0.0 and dx * dx + dy * dy <= far * far and gap >= -slack:
                         radii = v[RADIUS, p] + v[RADIUS, q]
@@ -201,8 +190,9 @@ def smallest_gap(v, m, n, n_eccentric, scale, limit, near, a, b, c, d):
                         p0, p1, q0, q1 = int(v[START, p]), int(v[START, p + 1]), int(v[START, q]), int(v[START, q + 1])
                         apart = separation_along_normals(v, p0, p1, q0, q1, tx, ty, cosine, sine, enough)
                         if apart <= enough:
-                            other = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
-                            apart = max(apart, other)
+                            apart_q = separation_along_normals(v, q0, q1, p0, p1, bx, by, cosine, -sine, enough)
+                            apart = max(apart, apart_q)
+                        # polygons overlap if no normal separates them; two single vertices have arbitrary normals
                         if apart < -slack and p1 - p0 + q1 - q0 > 2:
                             gap = min(gap, apart - radii)
                         elif apart <= enough:
@@ -221,15 +211,15 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
     overlap. The last eight arguments are the ends of the cores of the arms i and j. All cores have the same length.
     """
     # Rectangles that contain the parts of an arm decide most pairs. The directions of the arms are approximate here.
-    cx, cy, shorter = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
-    dx, dy, other = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
+    cx, cy, inverse_i = outline.centers[i, 0], outline.centers[i, 1], outline.centers[i, 2]
+    dx, dy, inverse_j = outline.centers[j, 0], outline.centers[j, 1], outline.centers[j, 2]
     k, limit = outline.inverse_length, separation - outline.offset
     x, y, wide, high = outline.eccentric_box
     ac, as_, bc, bs = (ax1 - ax0) * k, (ay1 - ay0) * k, (bx1 - bx0) * k, (by1 - by0) * k
     ax, ay = ax0 + (x * ac - y * as_), ay0 + (y * ac + x * as_)
     bx, by = bx0 + (x * bc - y * bs), by0 + (y * bc + x * bs)
     x, y, other_wide, other_high = outline.central_box
-    cc, cs, dc, ds = (ax0 - cx) * shorter, (ay0 - cy) * shorter, (bx0 - dx) * other, (by0 - dy) * other
+    cc, cs, dc, ds = (ax0 - cx) * inverse_i, (ay0 - cy) * inverse_i, (bx0 - dx) * inverse_j, (by0 - dy) * inverse_j
     px, py = cx + (x * cc - y * cs), cy + (y * cc + x * cs)
     qx, qy = dx + (x * dc - y * ds), dy + (y * dc + x * ds)
     loose = limit + LOOSE * outline.scale
@@ -279,10 +269,10 @@ def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
     gap = math.inf
     for part in range(start.size - 1):
         if part < outline.n_eccentric:
-            own = frame(x0, y0, x1, y1)
+            arm_frame = frame(x0, y0, x1, y1)
         else:
-            own = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
-        tx, ty, c, s, _ = frames_apart(own, (0.0, 0.0, 1.0, 0.0))
+            arm_frame = frame(outline.centers[i, 0], outline.centers[i, 1], x0, y0)
+        tx, ty, c, s, _ = frames_apart(arm_frame, (0.0, 0.0, 1.0, 0.0))
         bx, by = -(c * tx + s * ty), s * tx - c * ty
         p, p_end = start[part], start[part + 1]
         apart = max(

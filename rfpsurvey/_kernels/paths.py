@@ -19,24 +19,17 @@ TOLERANCE = 1e-6
 class Links(NamedTuple):
     """The candidates of all positioners."""
 
-    own: np.ndarray
-    """Positioner of each candidate."""
-    target: np.ndarray
-    """Target of each candidate, or -1 if its visits do not count, as those of an idle arm or of a sky position."""
-    rank: np.ndarray
-    """Class of the target of each candidate; smaller numbers are more important."""
+    owner: np.ndarray  # positioner of each candidate
+    target: np.ndarray  # -1 if its visits do not count, as those of an idle arm or of a sky position
+    rank: np.ndarray  # class of the target of each candidate; smaller numbers are more important
     t_indptr: np.ndarray
-    t_candidate: np.ndarray
-    """Candidates of each target, as compressed rows."""
+    t_candidate: np.ndarray  # candidates of each target, as compressed rows
     indptr: np.ndarray
-    clique: np.ndarray
-    """Cliques of each candidate, as compressed rows; a plan uses at most one candidate of each clique."""
+    clique: np.ndarray  # cliques of each candidate, as compressed rows; a plan uses at most one candidate of each
     r_indptr: np.ndarray
     rule: np.ndarray
-    share: np.ndarray
-    """Rules of each candidate, as compressed rows, and the number that the candidate adds to the sum of each rule."""
-    room: np.ndarray
-    """For each rule, its limit minus its sum over the candidates in use."""
+    share: np.ndarray  # rules of each candidate, as compressed rows, and its share in the sum of each rule
+    room: np.ndarray  # for each rule, its limit minus its sum over the candidates in use
 
 
 @kernel
@@ -48,6 +41,7 @@ def exchange(old, new, links):
     for k in range(links.r_indptr[new], links.r_indptr[new + 1]):
         links.room[links.rule[k]] -= links.share[k]
         kept &= links.room[links.rule[k]] > -TOLERANCE
+    # shares in minima are negative, so that giving up a candidate can violate a rule, too
     for k in range(links.r_indptr[old], links.r_indptr[old + 1]):
         kept &= links.room[links.rule[k]] > -TOLERANCE
     return kept
@@ -56,7 +50,7 @@ def exchange(old, new, links):
 @kernel
 def swap(c, links, chosen, load):
     """Use candidate c for its positioner, and update the number of used candidates of each clique (``load``)."""
-    i = links.own[c]
+    i = links.owner[c]
     old = chosen[i]
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] -= 1
@@ -69,7 +63,7 @@ def swap(c, links, chosen, load):
 @kernel
 def is_free(c, links, chosen, load):
     """Return whether candidate c may replace that of its positioner: no other arm collides, and all rules are kept."""
-    old = chosen[links.own[c]]
+    old = chosen[links.owner[c]]
     for k in range(links.indptr[old], links.indptr[old + 1]):
         load[links.clique[k]] -= 1
     free = True
@@ -79,7 +73,7 @@ def is_free(c, links, chosen, load):
         load[links.clique[k]] += 1
     if free and links.room.size > 0:
         free = exchange(old, c, links)
-        exchange(c, old, links)
+        exchange(c, old, links)  # undoes the first exchange
     return free
 
 
@@ -92,7 +86,7 @@ def last_step(t, level, replace, links, chosen, load):
     """
     for k in range(links.t_indptr[t], links.t_indptr[t + 1]):
         c = links.t_candidate[k]
-        old = chosen[links.own[c]]
+        old = chosen[links.owner[c]]
         ends = links.target[old] < 0 or (replace and links.rank[old] > level)
         if ends and is_free(c, links, chosen, load):
             return c
@@ -110,34 +104,35 @@ def find_path(begin, level, replace, links, chosen, load, left, seen, stack):
     """
     seen[begin] = True
     depth = 0
+    # rows: a target, the index of its next candidate (-1 if none was tried), and the candidate that lost this target
     stack[0] = begin, -1, -1
     while depth >= 0:
         t, k, _ = stack[depth]
         if k < 0:
             c = last_step(t, level, replace, links, chosen, load)
             if c >= 0:
-                old = links.target[chosen[links.own[c]]]
+                old = links.target[chosen[links.owner[c]]]
                 swap(c, links, chosen, load)
                 left[begin] -= 1
                 if old >= 0:
                     left[old] += 1
                 return True
             k = links.t_indptr[t]
-        found = False
-        while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not found:
+        has_path = False
+        while k < links.t_indptr[t + 1] and depth + 1 < stack.shape[0] and not has_path:
             c = links.t_candidate[k]
             k += 1
-            old = chosen[links.own[c]]
+            old = chosen[links.owner[c]]
             h = links.target[old]
             if h < 0 or h == t or seen[h] or (replace and links.rank[old] > level):
                 continue
             if is_free(c, links, chosen, load):
-                seen[h] = found = True
+                seen[h] = has_path = True
                 swap(c, links, chosen, load)
                 stack[depth, 1] = k
                 depth += 1
                 stack[depth] = h, -1, old
-        if not found:
+        if not has_path:
             if depth > 0:
                 swap(stack[depth, 2], links, chosen, load)
             depth -= 1

@@ -27,7 +27,7 @@ def bound_of(start, value, price):
 
 
 @kernel
-def adjust_prices(start, own, row_start, column, value, price, limits, width, begin, end, step):
+def adjust_prices(start, owner, row_start, column, value, price, limits, width, begin, end, step):
     """Adjust the prices of the cliques from ``begin`` to ``end`` in turn, and update the values of the candidates.
 
     In the upper bound, the largest value of each positioner is replaced by a smooth maximum,
@@ -46,7 +46,7 @@ def adjust_prices(start, own, row_start, column, value, price, limits, width, be
             odds = np.empty(last - k)
         n, total = 0, 0.0
         while k < last:
-            i = own[column[k]]
+            i = owner[column[k]]
             best = -np.inf
             for c in range(start[i], start[i + 1]):
                 best = max(best, value[c])

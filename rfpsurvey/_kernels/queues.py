@@ -33,27 +33,19 @@ class Entries(NamedTuple):
     segments: np.ndarray
     halves: np.ndarray
     weight: np.ndarray
-    total: np.ndarray
-    """Sum of the weights of the entries of each queue."""
-    free: np.ndarray
-    """Probability that the pose of an entry does not collide, under the condition that the entry is in use."""
-    hit: np.ndarray
-    """For each entry, the sum of the weights of the entries of one neighbor that collide with it; work array."""
-    ahead: np.ndarray
-    """Coordinate of the extreme point of each entry along the line between the centers of two positioners."""
+    total: np.ndarray  # sum of the weights of the entries of each queue
+    free: np.ndarray  # probability that the pose of an entry does not collide if the entry is in use
+    hit: np.ndarray  # sum of the weights of the entries of one neighbor that collide with each entry; work array
+    ahead: np.ndarray  # coordinate of the extreme point of each entry along the line between two centers
 
 
 class Expected(NamedTuple):
     """Arrays to which kernels write probabilities, and to which they add the values of all realizations."""
 
-    probability: np.ndarray
-    """Collision probability of each positioner in the last realization."""
-    pair_probability: np.ndarray
-    """Collision probability of each pair of neighbors in the last realization."""
-    times: np.ndarray
-    """For each positioner, the sum of its collision probabilities in the realizations in which it is counted."""
-    counted: np.ndarray
-    """For each positioner, the number of realizations in which it is counted."""
+    probability: np.ndarray  # collision probability of each positioner in the last realization
+    pair_probability: np.ndarray  # collision probability of each pair of neighbors in the last realization
+    times: np.ndarray  # for each positioner, the sum of its collision probabilities while it is counted
+    counted: np.ndarray  # for each positioner, the number of realizations in which it is counted
 
 
 @kernel
@@ -88,7 +80,7 @@ def prepare_entries(indptr, idle, entries):
     n, m = indptr.size - 1, indptr[-1]
     for i in range(n):
         empty = indptr[i] == indptr[i + 1]
-        obstacle = idle[0, i] == idle[0, i]
+        obstacle = idle[0, i] == idle[0, i]  # false for NaN
         entries.start[i] = m + i if empty else indptr[i]
         entries.stop[i] = m + i + (1 if obstacle else 0) if empty else indptr[i + 1]
         for row in range(4):
@@ -138,7 +130,7 @@ def expect(pairs, geometry, setup, entries, expected):
         for b in range(b0, b1):
             near[n], mid_x[n], mid_y[n], back[n] = b, halves[0, b], halves[1, b], ahead[b]
             n += (ahead[b] - foremost <= touching) & (weight[b] > 0.0)
-        a, found = a0, False
+        a, any_collides = a0, False
         while a < a1:
             m = np.int64(0)  # for a literal 0, numba would compile `keep_near` again
             while a < a1 and m < BATCH:
@@ -153,16 +145,17 @@ def expect(pairs, geometry, setup, entries, expected):
                         m += marks[k]
                 a += 1
             for k in range(keep_near(halves, m, touching**2, first, second)):
-                own, other = first[k], second[k]
+                a_row, b_row = first[k], second[k]
                 if outlined:
-                    collides = outlined_squared(segments, own, other, limits, i, j) < limit
+                    collides = outlined_squared(segments, a_row, b_row, limits, i, j) < limit
                 else:
-                    collides = pair_squared(segments, own, other) < limit
-                hit[own] += weight[other] * collides
-                hit[other] += weight[own] * collides
-                found |= collides
-        if not found:
+                    collides = pair_squared(segments, a_row, b_row) < limit
+                hit[a_row] += weight[b_row] * collides
+                hit[b_row] += weight[a_row] * collides
+                any_collides |= collides
+        if not any_collides:
             continue
+        # queues are drawn independently, so that the probabilities of no collision with each neighbor are multiplied
         chance = 0.0
         for a in range(a0, a1):
             chance += weight[a] * hit[a]

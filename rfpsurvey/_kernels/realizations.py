@@ -46,13 +46,13 @@ def record_visits(mask, slot, spends, left, is_open, observed):
     for f in range(slot.size):
         s = slot[f]
         if mask[f] != 0 and spends[s]:
-            rest = False
+            any_left = False
             for r in range(n):
                 done = (mask[f] >> np.uint32(r)) & np.uint32(1)
                 left[s, r] -= np.uint8(done)
                 observed[r] += np.int64(done)
-                rest |= left[s, r] > 0
-            is_open[s] = rest
+                any_left |= left[s, r] > 0
+            is_open[s] = any_left
 
 
 @kernel

@@ -13,15 +13,15 @@ def dominates(a, b, i, alive, options, mark):
 
     ``mark[c]`` must equal b for each candidate c that collides with b. Candidates that are not ``alive`` are ignored.
     """
-    own, target, t_indptr, t_candidate = options.own, options.target, options.t_indptr, options.t_candidate
-    indptr, other = options.indptr, options.other
+    owner, target, t_indptr, t_candidate = options.owner, options.target, options.t_indptr, options.t_candidate
+    indptr, excluded = options.indptr, options.excluded
     for k in range(indptr[a], indptr[a + 1]):
-        if alive[other[k]] and mark[other[k]] != b:
+        if alive[excluded[k]] and mark[excluded[k]] != b:
             return False
     if target[a] >= 0 and target[a] != target[b]:
         for k in range(t_indptr[target[a]], t_indptr[target[a] + 1]):
             c = t_candidate[k]
-            if alive[c] and own[c] != i and mark[c] != b:
+            if alive[c] and owner[c] != i and mark[c] != b:
                 return False
     return True
 
@@ -48,9 +48,9 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
     end. ``mark`` and ``removed`` are work arrays; on input, all elements of ``mark`` must be -1. The function ends
     after about ``most_work`` comparisons; the next call continues the reduction. ``alive`` is valid after each call.
     """
-    start, own, target, rank, cost = options.start, options.own, options.target, options.rank, options.cost
+    start, owner, target, rank, cost = options.start, options.owner, options.target, options.rank, options.cost
     key, as_good, t_indptr, t_candidate = options.key, options.as_good, options.t_indptr, options.t_candidate
-    indptr, other = options.indptr, options.other
+    indptr, excluded = options.indptr, options.excluded
     n = start.size - 1
     head, tail = ends[0], ends[1]
     work = 0
@@ -65,7 +65,7 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
                 continue
             work += indptr[b + 1] - indptr[b]
             for k in range(indptr[b], indptr[b + 1]):
-                mark[other[k]] = b
+                mark[excluded[k]] = b
             for a in range(start[i], start[i + 1]):
                 if a == b or not alive[a] or rank[a] > rank[b] or not as_good[key[a], key[b]]:
                     continue
@@ -82,24 +82,24 @@ def reduce_some(options, alive, queue, waiting, ends, mark, removed, most_work):
                 last = b
         if left == 1:
             for k in range(indptr[last], indptr[last + 1]):
-                if alive[other[k]]:
-                    alive[other[k]] = False
-                    removed[n_removed] = other[k]
+                if alive[excluded[k]]:
+                    alive[excluded[k]] = False
+                    removed[n_removed] = excluded[k]
                     n_removed += 1
             if target[last] >= 0:
                 for k in range(t_indptr[target[last]], t_indptr[target[last] + 1]):
                     c = t_candidate[k]
-                    if alive[c] and own[c] != i:
+                    if alive[c] and owner[c] != i:
                         alive[c] = False
                         removed[n_removed] = c
                         n_removed += 1
         # Repeat the test for each positioner with a candidate that was removed or that a removed candidate excluded.
         for m in range(n_removed):
             c = removed[m]
-            tail = enqueue(own[c], waiting, queue, tail)
+            tail = enqueue(owner[c], waiting, queue, tail)
             for k in range(indptr[c], indptr[c + 1]):
-                tail = enqueue(own[other[k]], waiting, queue, tail)
+                tail = enqueue(owner[excluded[k]], waiting, queue, tail)
             if target[c] >= 0:
                 for k in range(t_indptr[target[c]], t_indptr[target[c] + 1]):
-                    tail = enqueue(own[t_candidate[k]], waiting, queue, tail)
+                    tail = enqueue(owner[t_candidate[k]], waiting, queue, tail)
     ends[0], ends[1] = head, tail

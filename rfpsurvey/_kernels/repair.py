@@ -18,17 +18,17 @@ def put(i, c, options, chosen, blocked, holder):
     ``blocked`` is the number of candidates in use that collide with each candidate, and ``holder`` is the positioner of
     each target.
     """
-    indptr, other, target = options.indptr, options.other, options.target
+    indptr, excluded, target = options.indptr, options.excluded, options.target
     old = chosen[i]
     if old >= 0:
         for k in range(indptr[old], indptr[old + 1]):
-            blocked[other[k]] -= 1
+            blocked[excluded[k]] -= 1
         if target[old] >= 0 and holder[target[old]] == i:
             holder[target[old]] = -1
     chosen[i] = c
     if c >= 0:
         for k in range(indptr[c], indptr[c + 1]):
-            blocked[other[k]] += 1
+            blocked[excluded[k]] += 1
         if target[c] >= 0:
             holder[target[c]] = i
 
@@ -37,13 +37,13 @@ def put(i, c, options, chosen, blocked, holder):
 def put_all(plan, options, chosen, blocked, holder):
     """Assign the candidates of a plan to all positioners, which have no candidates yet."""
     # a call of `put` for each positioner would take longer, because all arrays of ``options`` are passed to it
-    indptr, other, target = options.indptr, options.other, options.target
+    indptr, excluded, target = options.indptr, options.excluded, options.target
     for i in range(plan.size):
         c = plan[i]
         chosen[i] = c
         if c >= 0:
             for k in range(indptr[c], indptr[c + 1]):
-                blocked[other[k]] += 1
+                blocked[excluded[k]] += 1
             if target[c] >= 0:
                 holder[target[c]] = i
 
@@ -73,8 +73,8 @@ def sole_blocker(c, i, options, chosen, holder):
     if options.target[c] >= 0 and holder[options.target[c]] >= 0 and holder[options.target[c]] != i:
         blocker = holder[options.target[c]]
     for k in range(options.indptr[c], options.indptr[c + 1]):
-        d = options.other[k]
-        j = options.own[d]
+        d = options.excluded[k]
+        j = options.owner[d]
         if chosen[j] == d and j != blocker:
             if blocker >= 0:
                 return -2

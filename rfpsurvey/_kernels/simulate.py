@@ -38,8 +38,7 @@ class Realization(NamedTuple):
     x: np.ndarray
     y: np.ndarray
     accepts: np.ndarray
-    targets: np.ndarray
-    """Row of each target: 0, 1, 2, and so on."""
+    targets: np.ndarray  # row of each target: 0, 1, 2, and so on
     indptr: np.ndarray
     owner: np.ndarray
     r2: np.ndarray
@@ -48,8 +47,7 @@ class Realization(NamedTuple):
     length: np.ndarray
     queues: np.ndarray
     queue: np.ndarray
-    cells: np.ndarray
-    """Grid that `scatter_apart` uses, shape (2, n)."""
+    cells: np.ndarray  # grid that `scatter_apart` uses, shape (2, n)
 
 
 @kernel
@@ -100,8 +98,8 @@ def realize(rng, number, sky, positioners, realization):
     """Draw random targets, and add each target to the queue of a positioner with `balanced`."""
     x, y = realization.x[:number], realization.y[:number]
     if sky.separation > 0.0:
-        found = scatter_apart(rng, sky, realization.cells, x, y)
-        x[found:], y[found:] = np.nan, np.nan
+        n_placed = scatter_apart(rng, sky, realization.cells, x, y)
+        x[n_placed:], y[n_placed:] = np.nan, np.nan
     else:
         scatter(rng, sky, x, y)
     indptr, owner, r2 = realization.indptr[: number + 1], realization.owner, realization.r2
@@ -119,7 +117,7 @@ def thin(rng, most, indptr, queue):
     for i in range(indptr.size - 1):
         stop = indptr[i + 1]
         size = stop - begin
-        for k in range(min(size, most)):
+        for k in range(min(size, most)):  # the first steps of a Fisher-Yates shuffle
             pick = begin + k
             if size > most:  # a shorter queue keeps all entries in their order
                 pick += min(int(rng.random() * (size - k)), size - k - 1)
@@ -162,12 +160,12 @@ def sum_realization(indptr, pairs, geometry, setup, entries, expected, sums):
     for i in range(probability.size):
         assigned = indptr[i + 1] > indptr[i]
         counts_too = assigned | setup.parked[i]
-        own = probability[i] if counts_too else 0.0
-        sums[0] += own
+        p_collision = probability[i] if counts_too else 0.0
+        sums[0] += p_collision
         sums[1] += counts_too
-        sums[2] += own if assigned else 0.0
+        sums[2] += p_collision if assigned else 0.0
         sums[3] += assigned
-        expected.times[i] += own
+        expected.times[i] += p_collision
         expected.counted[i] += counts_too
 
 

@@ -105,7 +105,7 @@ def angles(r, form, coefficients, argument, inner, output, limit, out):
 @kernel
 def project_radial(vectors, basis, form, coefficients, argument, inner, output, limit, out):
     """Project unit vectors by a radial map; the result is NaN for field angles larger than ``limit``."""
-    cosine_limit = math.cos(limit) - 1e-12
+    cosine_limit = math.cos(limit) - 1e-12  # a fast first test; the angles themselves are compared below
     for i in range(vectors.shape[0]):
         a, b, c = vectors[i, 0], vectors[i, 1], vectors[i, 2]
         along = a * basis[2, 0] + b * basis[2, 1] + c * basis[2, 2]

@@ -21,36 +21,24 @@ MOST_REMOVED = 6
 class Dates(NamedTuple):
     """The cadences of targets, and the times of tiles; tiles are in the order of time."""
 
-    cadence: np.ndarray
-    """Cadence of each target."""
-    e_indptr: np.ndarray
-    low: np.ndarray
+    cadence: np.ndarray  # of each target
+    e_indptr: np.ndarray  # first epoch of each cadence
+    low: np.ndarray  # limits of the time since the previous epoch, for each epoch
     high: np.ndarray
-    n: np.ndarray
-    limit: np.ndarray
-    """Limits of the time since the previous epoch, number of exposures and largest brightness of each epoch.
-
-    ``e_indptr`` is the first epoch of each cadence.
-    """
+    n: np.ndarray  # number of exposures of each epoch
+    limit: np.ndarray  # largest brightness of each epoch
     p_indptr: np.ndarray
-    p_tile: np.ndarray
-    """Tiles of the places of each target, as compressed rows."""
+    p_tile: np.ndarray  # tiles of the places of each target, as compressed rows
     c_indptr: np.ndarray
-    candidate: np.ndarray
-    """Candidates of each place, as compressed rows."""
+    candidate: np.ndarray  # candidates of each place, as compressed rows
     k_indptr: np.ndarray
-    member: np.ndarray
-    """Candidates of each clique, as compressed rows."""
-    usable: np.ndarray
-    """Whether moves may use each candidate."""
-    idle: np.ndarray
-    """Idle candidate of each positioner."""
-    rank: np.ndarray
-    """Class of each target."""
+    member: np.ndarray  # candidates of each clique, as compressed rows
+    usable: np.ndarray  # whether moves may use each candidate
+    idle: np.ndarray  # idle candidate of each positioner
+    rank: np.ndarray  # class of each target
     day: np.ndarray
     brightness: np.ndarray
-    night: float
-    """Largest time between the exposures of an epoch."""
+    night: float  # largest time between the exposures of an epoch
 
 
 class Work(NamedTuple):
@@ -93,11 +81,13 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     p, m = dates.p_indptr[t], dates.p_indptr[t + 1] - dates.p_indptr[t]
     first = dates.e_indptr[dates.cadence[t]]
     n_epochs = dates.e_indptr[dates.cadence[t] + 1] - first
+    # dynamic program: ``value[e, i, k]`` is the largest value of sequences whose epoch e has the first place i and the
+    # last place k, and ``back`` contains these places of the preceding epoch
     value, back, taken = work
     best, at_e, at_i, at_k = 0.0, -1, -1, -1
     for e in range(n_epochs):
         low, high, n, limit = dates.low[first + e], dates.high[first + e], dates.n[first + e], dates.limit[first + e]
-        gain, any_found = per_visit * n + (per_whole if e == n_epochs - 1 else 0.0), False
+        gain, is_possible = per_visit * n + (per_whole if e == n_epochs - 1 else 0.0), False
         for i in range(m):
             for k in range(i, m):
                 value[e, i, k] = -np.inf
@@ -123,15 +113,15 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
                     break
                 if (n > 1 and k == i) or cost[p + k] == np.inf or dates.brightness[dates.p_tile[p + k]] > limit:
                     continue
-                own = cost[p + i] + (cost[p + k] if k > i else 0.0)
+                visits_cost = cost[p + i] + (cost[p + k] if k > i else 0.0)
                 if n > 2:
-                    own += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
-                found = before + gain - own
-                value[e, i, k], back[e, i, k] = found, where
-                any_found |= found > -np.inf
-                if found > best:
-                    best, at_e, at_i, at_k = found, e, i, k
-        if not any_found:
+                    visits_cost += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
+                total = before + gain - visits_cost
+                value[e, i, k], back[e, i, k] = total, where
+                is_possible |= total > -np.inf
+                if total > best:
+                    best, at_e, at_i, at_k = total, e, i, k
+        if not is_possible:
             break
     picked[:m] = False
     visits, whole = 0, at_e == n_epochs - 1
@@ -152,7 +142,7 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
 @kernel
 def change(c, links, chosen, load, journal):
     """Use candidate c, and add the previous candidate of its positioner to the journal."""
-    journal.append(chosen[links.own[c]])
+    journal.append(chosen[links.owner[c]])
     swap(c, links, chosen, load)
 
 
@@ -161,36 +151,36 @@ def remove(t, links, dates, chosen, load, used, done, journal, places):
     """Remove all visits of target t."""
     for p in range(dates.p_indptr[t], dates.p_indptr[t + 1]):
         if used[p] >= 0:
-            change(dates.idle[links.own[used[p]]], links, chosen, load, journal)
+            change(dates.idle[links.owner[used[p]]], links, chosen, load, journal)
             places.append((p, used[p]))
             used[p] = -1
     done[t, 0] = done[t, 1] = 0
 
 
 @kernel
-def insert(t, turn, links, dates, chosen, load, used, done, cost, found, work, picked, journal, places):
+def insert(t, turn, links, dates, chosen, load, used, done, cost, candidate, work, picked, journal, places):
     """Add the best sequence of target t, which has no visits, on positioners without targets.
 
     The number ``turn`` determines the candidate of each place that is tried first.
     """
     first, last = dates.p_indptr[t], dates.p_indptr[t + 1]
     for p in range(first, last):
-        cost[p], found[p] = np.inf, -1
+        cost[p], candidate[p] = np.inf, -1
         begin, size = dates.c_indptr[p], dates.c_indptr[p + 1] - dates.c_indptr[p]
         for k in range(size):
             c = dates.candidate[begin + (turn + k) % size]
             if not dates.usable[c]:
                 continue
-            if links.target[chosen[links.own[c]]] < 0 and is_free(c, links, chosen, load):
+            if links.target[chosen[links.owner[c]]] < 0 and is_free(c, links, chosen, load):
                 # sequences of equal value are tried in turn
-                cost[p], found[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
+                cost[p], candidate[p] = TIE * (mix(np.uint64(turn) + np.uint64(p)) >> np.uint64(48)), c
                 break
     _, visits, whole = best_sequence(t, cost, 1.0, 1000.0, dates, work, picked)
     for p in range(first, last):
         if picked[p - first]:
-            change(found[p], links, chosen, load, journal)
+            change(candidate[p], links, chosen, load, journal)
             places.append((p, -1))
-            used[p] = found[p]
+            used[p] = candidate[p]
     done[t, 0], done[t, 1] = int(whole), visits
 
 
@@ -200,14 +190,14 @@ def blockers(t, n, links, dates, chosen, load, out):
     for p in range(dates.p_indptr[t], dates.p_indptr[t + 1]):
         for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
             c = dates.candidate[k]
-            n = add(links.target[chosen[links.own[c]]], t, n, out)
+            n = add(links.target[chosen[links.owner[c]]], t, n, out)
             for r in range(links.indptr[c], links.indptr[c + 1]):
                 clique = links.clique[r]
                 if load[clique] > 0:
                     for q in range(dates.k_indptr[clique], dates.k_indptr[clique + 1]):
-                        other = dates.member[q]
-                        if chosen[links.own[other]] == other:
-                            n = add(links.target[other], t, n, out)
+                        rival = dates.member[q]
+                        if chosen[links.owner[rival]] == rival:
+                            n = add(links.target[rival], t, n, out)
     return n
 
 
@@ -227,7 +217,7 @@ def add(h, t, n, out):
 def keeps_limits(links, chosen, load, journal):
     """Return whether the positioners of a journal collide with no other arm, and all rules are kept."""
     for old in journal:
-        c = chosen[links.own[old]]
+        c = chosen[links.owner[old]]
         for r in range(links.indptr[c], links.indptr[c + 1]):
             if load[links.clique[r]] > 1:
                 return False
@@ -235,7 +225,7 @@ def keeps_limits(links, chosen, load, journal):
 
 
 @kernel
-def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work, picked, gain):
+def move(order, rolls, links, dates, chosen, load, used, done, cost, candidate, work, picked, gain):
     """Try to complete the targets in ``order``: remove targets that prevent this, and add all of them again.
 
     A move is undone if the numbers of complete cadences and of visits are smaller than before, class by class.
@@ -254,8 +244,9 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
                     break
         number = min(n, int(roll[0] % MOST_REMOVED) + 1)
         for k in range(number):  # the first elements become a random selection
-            other = k + int(roll[k + 3] % (n - k))
-            out[k], out[other] = out[other], out[k]
+            swapped = k + int(roll[k + 3] % (n - k))
+            out[k], out[swapped] = out[swapped], out[k]
+        # empty lists from which numba infers the types of their elements
         journal = [np.int64(0) for _ in range(0)]
         places = [(np.int64(0), np.int64(0)) for _ in range(0)]
         old = done[t].copy()
@@ -271,7 +262,7 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, found, work
         for k in range(-1, number):
             h = t if k < 0 else out[k]
             turn = roll[k + 4]
-            insert(h, turn, links, dates, chosen, load, used, done, cost, found, work, picked, journal, places)
+            insert(h, turn, links, dates, chosen, load, used, done, cost, candidate, work, picked, journal, places)
             gain[ranks[h], 0] += done[h, 0]
             gain[ranks[h], 1] += done[h, 1]
         is_worse = False
@@ -313,7 +304,7 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
                 for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
                     c = dates.candidate[k]
                     if price_of(c, price, own_price, links) == cost[p]:
-                        own_usage[links.own[c]] += 1.0
+                        own_usage[links.owner[c]] += 1.0
                         for r in range(links.indptr[c], links.indptr[c + 1]):
                             usage[links.clique[r]] += 1.0
                         break
@@ -323,7 +314,7 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
 @kernel
 def price_of(c, price, own_price, links):
     """Return the price of a candidate."""
-    total = own_price[links.own[c]]
+    total = own_price[links.owner[c]]
     for r in range(links.indptr[c], links.indptr[c + 1]):
         total += price[links.clique[r]]
     return total

@@ -23,6 +23,7 @@ def make_keys(vectors, n_zones, key):
         phase += phase < 0.0
         dec = math.atan2(vectors[i, 2], math.hypot(vectors[i, 0], vectors[i, 1]))
         zone = min(max(int((dec / math.pi + 0.5) * n_zones), 0), n_zones - 1)
+        # a phase that rounds to 1 would belong to the next zone
         key[i] = zone + min(phase, 1.0 - SLACK)
 
 
@@ -34,6 +35,7 @@ def list_runs(key, n_zones, center, radius, runs):
     low, high = dec - radius - 1e-9, dec + radius + 1e-9
     half = 0.5
     if low > -0.5 * math.pi and high < 0.5 * math.pi:
+        # the largest difference in right ascension of a point of the circle, which does not contain a pole
         half = math.asin(min(math.sin(radius) / math.cos(dec), 1.0)) * (1.0 + 1e-9) / (2.0 * math.pi) + SLACK
     first = min(max(int((low / math.pi + 0.5) * n_zones), 0), n_zones - 1)
     last = min(max(int((high / math.pi + 0.5) * n_zones), 0), n_zones - 1)
@@ -108,6 +110,7 @@ def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest,
     """
     n = order.size
     runs = np.empty((2 * n_zones, 2), dtype=np.int64)
+    # the last row that is near to each number; the array is therefore not reset for each row
     place, taken = np.empty(n, dtype=np.int64), np.full(n + 1, -1)
     for i in range(n):
         place[order[i]] = i
@@ -116,13 +119,13 @@ def number_circles(vectors, key, n_zones, order, radius, limit, group, smallest,
         largest = -1
         for k in range(list_runs(key, n_zones, center, radius, runs)):
             for i in range(runs[k, 0], runs[k, 1]):
-                other = order[i]
-                if other >= row or (smallest and group[other] != group[row]):
+                neighbor = order[i]
+                if neighbor >= row or (smallest and group[neighbor] != group[row]):
                     continue
                 a, b, c = vectors[i, 0] - center[0], vectors[i, 1] - center[1], vectors[i, 2] - center[2]
                 if 0.25 * (a * a + b * b + c * c) <= limit:
-                    taken[number[other]] = row
-                    largest = max(largest, number[other])
+                    taken[number[neighbor]] = row
+                    largest = max(largest, number[neighbor])
         number[row] = largest + 1
         if smallest:
             number[row] = 0

@@ -34,15 +34,15 @@ def read_toml(path: Path) -> dict:
         if long:
             number = text.count("\n", 0, long.start()) + 1
             raise InputError(f"{path}: a key in line {number} must have at most {MOST_DEPTH} parts, got more")
-        found = tomllib.loads(text)
+        values = tomllib.loads(text)
     except RecursionError:
         raise InputError(f"{path}: values must be nested at most {MOST_DEPTH} levels deep, got more") from None
     except InputError:
         raise
     except ValueError as error:  # the text is not UTF-8 or not TOML, or a number has too many digits
         raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
-    check_size(found, path, most_integer=MOST_TOML_INTEGER)
-    return found
+    check_size(values, path, most_integer=MOST_TOML_INTEGER)
+    return values
 
 
 def parse_json(text: object, what: object) -> dict:
@@ -52,25 +52,25 @@ def parse_json(text: object, what: object) -> dict:
     if len(text) > MOST_JSON:
         raise InputError(f"{what} must have at most {MOST_JSON} characters, got {len(text)}")
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except RecursionError:
         raise InputError(f"{what} must be nested at most {MOST_DEPTH} levels deep, got more") from None
     except ValueError as error:
         raise InputError(f"{what} must be an object in JSON: {sentence(error)}") from None
-    if not isinstance(found, dict):
-        raise InputError(f"{what} must be an object in JSON, got {type(found).__name__}")
-    check_size(found, what)
-    return found
+    if not isinstance(content, dict):
+        raise InputError(f"{what} must be an object in JSON, got {type(content).__name__}")
+    check_size(content, what)
+    return content
 
 
 def check_size(
-    found: object, what: object, *, most_values: int = MOST_VALUES, most_integer: int = MOST_INTEGER
+    content: object, what: object, *, most_values: int = MOST_VALUES, most_integer: int = MOST_INTEGER
 ) -> None:
     """Raise an error if a document has too many values or nested levels, or an integer that is too large.
 
     A value that occurs twice counts twice.
     """
-    todo, n = [(found, 0)], 0
+    todo, n = [(content, 0)], 0
     while todo:
         value, depth = todo.pop()
         inner = value.values() if isinstance(value, dict) else value if isinstance(value, list | tuple) else ()
@@ -107,14 +107,14 @@ def read_arrays(file: BinaryIO, expected: dict[str, tuple[str, tuple]], what: ob
     """
     with reading(what, "npz"), zipfile.ZipFile(file) as archive:
         stored = {info.filename.removesuffix(".npy"): info for info in archive.infolist()}
-        found = {}
+        arrays = {}
         for key, (dtype, shape) in expected.items():
             name = key.removesuffix("?")
             if name in stored:
-                found[name] = _read_array(archive, stored[name], np.dtype(dtype), shape, f"{what}: array {name!r}")
+                arrays[name] = _read_array(archive, stored[name], np.dtype(dtype), shape, f"{what}: array {name!r}")
             elif name == key:
                 raise InputError(f"{what}: the archive must contain the array {name!r}, got none")
-    return found
+    return arrays
 
 
 def _read_array(archive, info, dtype: np.dtype, shape: tuple, what: str) -> np.ndarray:
@@ -123,13 +123,13 @@ def _read_array(archive, info, dtype: np.dtype, shape: tuple, what: str) -> np.n
     with archive.open(info) as member:
         if np.lib.format.read_magic(member) != (1, 0):
             raise InputError(f"{what} must have version 1.0 of the format of NumPy, got another version")
-        own, _, stored = np.lib.format.read_array_header_1_0(member)
-        fits = len(own) == len(shape) and all(n in (None, m) for n, m in zip(shape, own, strict=True))
+        stored_shape, _, stored = np.lib.format.read_array_header_1_0(member)
+        fits = len(stored_shape) == len(shape) and all(n in (None, m) for n, m in zip(shape, stored_shape, strict=True))
         if not fits or stored != dtype:
             text = f"the shape {shape} and the type {dtype}".replace("None", "n")
-            raise InputError(f"{what} must have {text}, got {own} and {stored}")
-        size = member.tell() + dtype.itemsize * int(np.prod(own, dtype=object))
+            raise InputError(f"{what} must have {text}, got {stored_shape} and {stored}")
+        size = member.tell() + dtype.itemsize * int(np.prod(stored_shape, dtype=object))
         if size != info.file_size:
-            raise InputError(f"{what} must have {info.file_size} bytes in all, got the shape {own}")
+            raise InputError(f"{what} must have {info.file_size} bytes in all, got the shape {stored_shape}")
     with archive.open(info) as member:
         return np.lib.format.read_array(member, allow_pickle=False)

@@ -38,10 +38,10 @@ def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "", *, pad
     is not a multiple of 2880 bytes, an error is raised if ``padded`` is true or the file has surplus bytes; otherwise,
     a warning is issued.
     """
-    with open_content(path) as file, _open_units(file, path, padded=padded) as (units, found):
-        table = _table_of(units[next(iter(found)) if hdu is None else _choose(found, hdu, path)], path)
-    if hdu is None and len(found) > 1 and META_KEY not in table.meta:
-        text = f"{path}: the file has {len(found)} tables, and only the first one was read: {_listed(found)}"
+    with open_content(path) as file, _open_units(file, path, padded=padded) as (units, tables):
+        table = _table_of(units[next(iter(tables)) if hdu is None else _choose(tables, hdu, path)], path)
+    if hdu is None and len(tables) > 1 and META_KEY not in table.meta:
+        text = f"{path}: the file has {len(tables)} tables, and only the first one was read: {_listed(tables)}"
         warn(text + remedy)
     return table
 
@@ -51,7 +51,7 @@ def _open_units(file: BinaryIO, path: object, *, padded: bool = True) -> Iterato
     """Provide the header-data units of a file, and the numbers and names of those that are tables."""
     from astropy.io import fits
 
-    found = _find_tables(file, path)
+    tables = _find_tables(file, path)
     if (size := file.seek(0, io.SEEK_END)) % BLOCK:
         # bytes that are inserted into the data or lost move all later rows (FITS standard 4.0, section 3.1)
         text = f"{path}: the size of a FITS file must be a multiple of {BLOCK} bytes, got {size}"
@@ -62,26 +62,26 @@ def _open_units(file: BinaryIO, path: object, *, padded: bool = True) -> Iterato
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # ignore warnings about cards and units; units are checked later
         with fits.open(file, memmap=False, character_as_bytes=False, lazy_load_hdus=True) as units:
-            yield units, found
+            yield units, tables
 
 
-def _choose(found: dict[int, str], hdu: int | str, path: Path) -> int:
+def _choose(tables: dict[int, str], hdu: int | str, path: Path) -> int:
     """Return the number of the header-data unit that has the number or the name ``hdu``."""
-    named = [number for number, name in found.items() if name and name.lower() == str(hdu).strip().lower()]
+    named = [number for number, name in tables.items() if name and name.lower() == str(hdu).strip().lower()]
     if isinstance(hdu, str) and len(named) == 1:
         return named[0]
     number = int(hdu) if not isinstance(hdu, str) or (hdu.isdecimal() and hdu.isascii()) else None
-    if number not in found:
+    if number not in tables:
         raise InputError(
-            f"{path}: hdu must be the number or the unique name of a table in the file ({_listed(found)}), "
+            f"{path}: hdu must be the number or the unique name of a table in the file ({_listed(tables)}), "
             f"got {short(hdu)}"
         )
     return number
 
 
-def _listed(found: dict[int, str]) -> str:
+def _listed(tables: dict[int, str]) -> str:
     """Return text that lists the numbers and names of the tables in a file."""
-    return listed([f"{number} ({name})" if name else str(number) for number, name in found.items()])
+    return listed([f"{number} ({name})" if name else str(number) for number, name in tables.items()])
 
 
 def read_all_fits(path: Path) -> tuple[dict, list[Table]]:
@@ -89,8 +89,8 @@ def read_all_fits(path: Path) -> tuple[dict, list[Table]]:
 
     The ``meta`` of each table contains the keywords of its header.
     """
-    with open_content(path) as file, _open_units(file, path) as (units, found):
-        return dict(units[0].header), [_table_of(units[at], path) for at in found]
+    with open_content(path) as file, _open_units(file, path) as (units, tables):
+        return dict(units[0].header), [_table_of(units[at], path) for at in tables]
 
 
 def _table_of(unit, path) -> Table:
@@ -114,8 +114,8 @@ def read_fits_bytes(content: bytes, name: object = "the file") -> tuple[np.ndarr
     if plain is not None:
         return plain
     file = io.BytesIO(content)
-    with reading(name, "fits"), _open_units(file, name) as (units, found):
-        table = units[next(iter(found))]
+    with reading(name, "fits"), _open_units(file, name) as (units, tables):
+        table = units[next(iter(tables))]
         columns = [np.asarray(table.data[name]) for name in table.columns.names]
         columns = [c.astype(c.dtype.newbyteorder("=")) for c in columns]
         return np.rec.fromarrays(columns, names=table.columns.names), dict(table.header)
@@ -129,14 +129,14 @@ def read_fits_units(path: Path) -> dict:
     has no trailing blanks.
     """
     with open_content(path) as file, reading(path, "fits"), _open_units(file, path) as (units, numbers):
-        found = {None: (units[0].header.copy(), None)}
+        contents = {None: (units[0].header.copy(), None)}
         for unit in [units[number] for number in numbers]:
             columns = {name: _native(np.asarray(unit.data[name])) for name in unit.columns.names}
             rows = np.empty(len(unit.data), [(name, c.dtype, c.shape[1:]) for name, c in columns.items()])
             for name, column in columns.items():
                 rows[name] = column
-            found[unit.name] = unit.header.copy(), rows
-    return found
+            contents[unit.name] = unit.header.copy(), rows
+    return contents
 
 
 def _native(values: np.ndarray) -> np.ndarray:
@@ -267,16 +267,16 @@ def _check_table(file, cards, what, begin, end, path):
         raise InputError(f"{path}: the header card NAXIS of a table must be 2, got {_whole(cards, 'NAXIS', path)}")
     n_fields = _whole(cards, "TFIELDS", path, most=MOST_FIELDS)
     width = _whole(cards, "NAXIS1", path)
-    found = 0
+    n_bytes = 0
     for k in range(1, n_fields + 1) if what != "TABLE" else ():
         text = _text(cards.get(f"TFORM{k}".encode(), b""))
         match = FORMAT.fullmatch(text)
         if not match:
             raise InputError(f"{path}: the header card TFORM{k} must be the format of a column, got {text or 'none'}")
-        found += -(-int(match[1] or 1) * WIDTHS[match[2]] // 1)
-    if what != "TABLE" and found != width:
+        n_bytes += -(-int(match[1] or 1) * WIDTHS[match[2]] // 1)
+    if what != "TABLE" and n_bytes != width:
         raise InputError(
-            f"{path}: the columns of a row must have NAXIS1 = {width} bytes in all, got {int(found)} bytes"
+            f"{path}: the columns of a row must have NAXIS1 = {width} bytes in all, got {int(n_bytes)} bytes"
         )
     if width == 0 and _whole(cards, "NAXIS2", path):
         raise InputError(f"{path}: the rows of a table must have at least one byte, got NAXIS1 = 0")
@@ -298,10 +298,10 @@ def read_plain(content: bytes) -> tuple[np.ndarray, dict] | None:
         if not card.isascii():
             return None
         if card.startswith(b"CONTINUE  '") and str(before := cards.get(name)).endswith("&"):
-            rest = _value("=" + card[9:].decode())
-            if not isinstance(before, str) or rest is None:
+            continuation = _value("=" + card[9:].decode())
+            if not isinstance(before, str) or continuation is None:
                 return None
-            cards[name], end = before[:-1] + rest, end + CARD
+            cards[name], end = before[:-1] + continuation, end + CARD
             continue
         name, value = card[:8].decode().rstrip(), _value(card[8:].decode())
         if value is None or not PLAIN_NAME.fullmatch(name) or OTHERS.fullmatch(name) or name in cards:
@@ -327,8 +327,8 @@ def read_plain(content: bytes) -> tuple[np.ndarray, dict] | None:
 def _value(text: str) -> object:
     """Return the value of a card; None if the text has another form than the texts that rfpsurvey writes."""
     if text.startswith("= '"):
-        value, quote, rest = text[3:].partition("'")
-        return value.rstrip() if quote and re.match(" *(/|$)", rest) else None
+        value, quote, after = text[3:].partition("'")
+        return value.rstrip() if quote and re.match(" *(/|$)", after) else None
     text = text[1:].partition("/")[0].strip() if text.startswith("= ") else ""
     if text in ("T", "F"):
         return text == "T"

@@ -125,13 +125,13 @@ def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
         limit = most if most is not None else None if opener is None else max(FREE, MOST_RATIO * size)
         if opener is None and limit is None:
             return path.read_bytes()
-        found = io.BytesIO()
+        content = io.BytesIO()
         with (opener or open)(path, "rb") as file:
             while chunk := file.read(CHUNK):
-                found.write(chunk)
-                if found.tell() > limit:
+                content.write(chunk)
+                if content.tell() > limit:
                     raise InputError(_too_large(path, limit, opener if most is None else None))
-        return found.getvalue()
+        return content.getvalue()
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
         reason = getattr(error, "strerror", None) or sentence(error)
         raise InputError(f"{path} cannot be read{kind and f' as {kind}'}: {reason}") from error

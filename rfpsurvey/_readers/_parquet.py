@@ -64,8 +64,8 @@ def _is_plain(kind) -> bool:
         kind = kind.value_type
     if isinstance(kind, BaseExtensionType):
         return False
-    others = ("nested", "duration", "time", "interval", "run_end_encoded")
-    return not any(getattr(types, f"is_{name}")(kind) for name in others)
+    unsupported = ("nested", "duration", "time", "interval", "run_end_encoded")
+    return not any(getattr(types, f"is_{name}")(kind) for name in unsupported)
 
 
 def _to_table(content, names: list[str], path: Path | None) -> Table:

@@ -68,10 +68,10 @@ def read_ecsv(path: Path) -> Table:
     header = content[:begin]
     if begin > MOST_HEADER:
         raise InputError(f"{path}: the ECSV header must have at most {MOST_HEADER} bytes, got {begin}")
-    for found in SHAPE.findall(header):
-        sizes = [int(n) for n in re.findall(rb"\d{1,9}", found)]
+    for shape in SHAPE.findall(header):
+        sizes = [int(n) for n in re.findall(rb"\d{1,9}", shape)]
         if np.prod(sizes, dtype=float) > MOST_CELLS:
-            raise InputError(f"{path}: a value must have at most {MOST_CELLS} elements, got [{found.decode()}]")
+            raise InputError(f"{path}: a value must have at most {MOST_CELLS} elements, got [{shape.decode()}]")
     for width in WIDE.findall(header):
         if len(width) > 5:
             raise InputError(
@@ -103,11 +103,11 @@ def _parse(text: str, options: dict) -> Table:
 
 def _keep_leading_zeros(table: Table, marked: Table) -> None:
     """Restore leading zeros in columns of digits; in the table ``marked``, numbers with leading zeros are text."""
-    for name, other in zip(table.colnames, marked.colnames, strict=True):
-        if table[name].dtype.kind != "i" or marked[other].dtype.kind != "U":
+    for name, marked_name in zip(table.colnames, marked.colnames, strict=True):
+        if table[name].dtype.kind != "i" or marked[marked_name].dtype.kind != "U":
             continue
         missing = np.ma.getmaskarray(np.ma.asarray(table[name]))
-        text = np.char.lstrip(np.where(missing, "", np.asarray(marked[other])), MARK)
+        text = np.char.lstrip(np.where(missing, "", np.asarray(marked[marked_name])), MARK)
         if np.char.isdigit(text[~missing]).all():
             table[name] = np.ma.array(text, mask=missing) if missing.any() else text
 
@@ -255,12 +255,12 @@ class _Lines:
 def _refuse(path: Path, lines: _Lines, before: int, n_fields: int) -> None:
     """Raise an error for the first invalid line of a block; ``before`` is the number of preceding lines."""
     for k in np.flatnonzero(lines.data).tolist():
-        found = _fields(lines.line(k), lines.delimiter)
-        if found == 0:
+        number = _fields(lines.line(k), lines.delimiter)
+        if number == 0:
             raise InputError(_open_quote(path, before + k + 1))
-        if n_fields and found != n_fields:
+        if n_fields and number != n_fields:
             raise InputError(
-                f"{path}: line {before + k + 1} must have {n_fields} fields, like the first line, got {found} fields"
+                f"{path}: line {before + k + 1} must have {n_fields} fields, like the first line, got {number} fields"
             )
 
 
@@ -333,13 +333,13 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
 
 def _delimiter(path: Path, header: bytes, row: bytes) -> bytes:
     header, row = QUOTED.sub(b"", header), QUOTED.sub(b"", row)
-    there = [one for one in DELIMITERS if one in header]
+    there = [delimiter for delimiter in DELIMITERS if delimiter in header]
     if len(there) > 1:
-        there = [one for one in there if header.count(one) == row.count(one)] or there
+        there = [delimiter for delimiter in there if header.count(delimiter) == row.count(delimiter)] or there
     if b"," in there or not there:
         return b","
     if len(there) > 1:
-        names = " and ".join(DELIMITERS[one] for one in there)
+        names = " and ".join(DELIMITERS[delimiter] for delimiter in there)
         raise InputError(
             f"{path}: one delimiter must separate the columns, got {names}; put commas between all columns"
         )

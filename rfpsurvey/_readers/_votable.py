@@ -153,8 +153,8 @@ class _Contents:
                 steps[-1] += -(-SIZES[kind] * n // 1)
         n_rows, place = 0, 0
         if len(steps) == 1:
-            n_rows, rest = divmod(len(content), steps[0]) if steps[0] else (0, len(content))
-            place = len(content) - rest
+            n_rows, n_left = divmod(len(content), steps[0]) if steps[0] else (0, len(content))
+            place = len(content) - n_left
         else:
             while place < len(content):
                 try:

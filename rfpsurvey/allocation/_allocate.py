@@ -152,14 +152,14 @@ def allocate(
         columns, order = columns._replace(subpriority=values), service_order(values, rows)
     elif options.breaks_ties:
         order = tie_order(points)
-    others = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
+    avoided = NO_POINTS if avoid is None else to_points_mm(avoid, "avoid")
     arrays = {"required": required, "subpriority": subpriority}
     warn_of_unused_options([asked], focal_plane, rng, [name for name, values in arrays.items() if values is not None])
     if avoid is not None and options.sky_separation is None:
         warn_no_effect("avoid", "without sky_separation, the distance between sky positions and other objects")
     rng = to_generator(rng)
     points = points.copy()  # the allocation must not change if the caller changes the positions
-    return assign(focal_plane, points, columns, options, rng, forbidden=forbidden, avoid=others, order=order)
+    return assign(focal_plane, points, columns, options, rng, forbidden=forbidden, avoid=avoided, order=order)
 
 
 def assign(
@@ -292,10 +292,10 @@ def _allowed(reach: Reach, forbidden, n, order=None, excluded: np.ndarray | None
             f"forbidden must contain rows of positioners from 0 to {reach.n_positioners - 1} and rows of "
             f"targets from 0 to {n - 1}"
         )
-    own, target = pairs.T.astype(np.int64)
+    owner, target = pairs.T.astype(np.int64)
     if order is not None:
         target = _scatter(np.arange(n), order)[target]
-    return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + own))
+    return reach.where(~np.isin(reach.target * reach.n_positioners + reach.owner, target * reach.n_positioners + owner))
 
 
 def _make_start(problem, n_given: int, in_reach, order, given, *, with_lost: bool = False) -> AllocationAnswer:
@@ -308,9 +308,9 @@ def _make_start(problem, n_given: int, in_reach, order, given, *, with_lost: boo
     if isinstance(start, str):
         return find_allocator(start).function(problem)
     if hasattr(start, "table"):
-        found = given()
-        kept = found.target_of_positioner if with_lost else np.maximum(found.target_of_positioner, -1)
-        return found._replace(target_of_positioner=kept)
+        allocation = given()
+        kept = allocation.target_of_positioner if with_lost else np.maximum(allocation.target_of_positioner, -1)
+        return allocation._replace(target_of_positioner=kept)
     return from_allocation(start, problem, n_given, in_reach, order)
 
 

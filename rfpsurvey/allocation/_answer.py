@@ -54,11 +54,11 @@ class Objectives(NamedTuple):
 
         Before the classes, the number of all science targets can be an objective; after them, that of all targets.
         """
-        n, rest = len(classes), int(any_last)
+        n, n_any = len(classes), int(any_last)
         numbers = ["science"] if n == 1 else [f"priority {exact_text(value)}" for value in classes]
-        names = (*special, *["science"] * all_first, *numbers, *["any target"] * rest)
-        first = [0] * (len(special) + all_first), np.arange(n), [0] * rest
-        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * rest
+        names = (*special, *["science"] * all_first, *numbers, *["any target"] * n_any)
+        first = [0] * (len(special) + all_first), np.arange(n), [0] * n_any
+        stop = [0] * len(special), [n] * all_first, np.arange(1, n + 1), [n + 1] * n_any
         return cls(names, *(np.concatenate(parts).astype(np.int64) for parts in (first, stop)))
 
 

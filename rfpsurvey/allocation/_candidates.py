@@ -31,19 +31,11 @@ class Candidates:
 
     problem: AllocationProblem
     options: conflicts.Options
-    side: np.ndarray
-    """Elbow of each candidate: +1 is right, -1 is left."""
-    pairs: np.ndarray
-    """Pairs of candidates that collide, shape (2, m)."""
-    held: np.ndarray
-    """Whether each candidate counts toward each requirement, shape (n_groups, n).
-
-    A requirement per spectrograph has one row for each spectrograph.
-    """
-    preselection: Preselection
-    """Reachable pairs (positioner, target) from which the candidates were made; `preselect` may have omitted pairs."""
-    idle_pairs: np.ndarray | None = None
-    """Pairs of positioners whose idle arms collide, shape (2, m); None if the pairs were not computed."""
+    side: np.ndarray  # elbow of each candidate: +1 is right, -1 is left
+    pairs: np.ndarray  # pairs of candidates that collide, shape (2, m)
+    held: np.ndarray  # whether each candidate counts toward each group of requirements, shape (n_groups, n)
+    preselection: Preselection  # reachable pairs that the candidates are made from; some may be omitted
+    idle_pairs: np.ndarray | None = None  # positioners whose idle arms collide, shape (2, m); None if unknown
 
     def __len__(self):
         return len(self.side)
@@ -53,24 +45,24 @@ class Candidates:
         o, new = self.options, np.cumsum(keep) - 1
         start = np.concatenate([[0], np.cumsum(keep)])[o.start]
         pairs = _pairs_where(self.pairs, keep, new)
-        columns = start, o.own[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
-        found = _assemble(self.problem, self.preselection, *columns)
+        columns = start, o.owner[keep], o.target[keep], self.side[keep], o.cost[keep], pairs
+        candidates = _assemble(self.problem, self.preselection, *columns)
         if "segments" in self.__dict__:
             # with the memory layout of self.segments[:, keep], numba would compile kernels again
-            found.__dict__["segments"] = np.compress(keep, self.segments, axis=1)
-        return found
+            candidates.__dict__["segments"] = np.compress(keep, self.segments, axis=1)
+        return candidates
 
     def for_problem(self, problem: AllocationProblem) -> "Candidates":
         """Return the candidates for a problem in which only the roles of the targets differ."""
         o = self.options
-        return _assemble(problem, self.preselection, o.start, o.own, o.target, self.side, o.cost, self.pairs)
+        return _assemble(problem, self.preselection, o.start, o.owner, o.target, self.side, o.cost, self.pairs)
 
     @cached_property
     def spreads(self) -> list[Spread]:
         """The candidates that each rule on the distribution of fibers concerns."""
         o, problem = self.options, self.problem
         return [
-            Spread(rule, *(members(problem, rule, what, o.own, o.target) for what in ("science", rule.what)))
+            Spread(rule, *(members(problem, rule, what, o.owner, o.target) for what in ("science", rule.what)))
             for rule in problem.distributions
         ]
 
@@ -98,7 +90,7 @@ class Candidates:
     def segments(self) -> np.ndarray:
         """Segments that represent the arms in tests for collisions, shape (4, n)."""
         o = self.options
-        return place_segments(self.problem, o.own, o.target, self.side, o.start[1:] - 1)
+        return place_segments(self.problem, o.owner, o.target, self.side, o.start[1:] - 1)
 
     @cached_property
     def moves(self) -> "tuple[motion.Moves, bool] | None":
@@ -106,7 +98,7 @@ class Candidates:
         o, moving = self.options, self.problem.motion
         if moving is None:
             return None
-        return moving.moves(o.own, o.target, self.side, o.start[1:] - 1), moving.same_speed
+        return moving.moves(o.owner, o.target, self.side, o.start[1:] - 1), moving.same_speed
 
     def with_collisions(self, seconds: float = np.inf, most_pairs: float = np.inf) -> "Candidates":
         """Return the candidates with their collisions; the parameters are those of `find_candidates`."""
@@ -114,8 +106,8 @@ class Candidates:
         is_idle[o.start[1:] - 1] = True
         pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs, self.moves)
         # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
-        both = is_idle[pairs[0]] & is_idle[pairs[1]]
-        idle_pairs, pairs = o.own[pairs[:, both]], np.ascontiguousarray(pairs[:, ~both])
+        both_idle = is_idle[pairs[0]] & is_idle[pairs[1]]
+        idle_pairs, pairs = o.owner[pairs[:, both_idle]], np.ascontiguousarray(pairs[:, ~both_idle])
         options = o._replace(**_adjacency(len(self), pairs))
         return replace(self, options=options, pairs=pairs, idle_pairs=idle_pairs)
 
@@ -127,7 +119,7 @@ class Candidates:
         """
         o, plane = self.options, self.problem.focal_plane
         n_elbows = 2 if plane.positioner.handedness == "both" else 1
-        free = replaceable(self.preselection, o.own, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
+        free = replaceable(self.preselection, o.owner, o.target, o.rank, plane.arrays.n_sharing, n_elbows)
         pairs = _pairs_where(self.pairs, ~free, np.arange(len(free)))
         return replace(self, options=o._replace(**_adjacency(len(self), pairs)), pairs=pairs, idle_pairs=None)
 
@@ -149,18 +141,18 @@ def find_candidates(
     is raised. If ``most_pairs`` is 0, the collisions of two arms are not found.
     """
     preselection = preselect(problem, collide=collide, keep_target=keep_target)
-    start, own, target, side, r2 = list_candidates(problem, preselection.reach, both=collide)
-    cost = r2 if squared_cost else np.zeros(len(own))
-    found = _assemble(problem, preselection, start, own, target, side, cost, np.empty((2, 0), dtype=np.int64))
+    start, owner, target, side, r2 = list_candidates(problem, preselection.reach, both_elbows=collide)
+    cost = r2 if squared_cost else np.zeros(len(owner))
+    candidates = _assemble(problem, preselection, start, owner, target, side, cost, np.empty((2, 0), dtype=np.int64))
     if not collide:
-        return found
-    keep = np.ones(len(own), dtype=bool)
-    keep[obstacle_hits(problem.focal_plane, start, found.segments)[:, 0]] = False
+        return candidates
+    keep = np.ones(len(owner), dtype=bool)
+    keep[obstacle_hits(problem.focal_plane, start, candidates.segments)[:, 0]] = False
     if problem.motion is not None:
-        keep &= problem.motion.allowed(own, target, side)
+        keep &= problem.motion.allowed(owner, target, side)
     keep[start[1:] - 1] = True
-    found = found if keep.all() else found.where(keep)
-    return found.with_collisions(seconds, most_pairs) if most_pairs else found
+    candidates = candidates if keep.all() else candidates.where(keep)
+    return candidates.with_collisions(seconds, most_pairs) if most_pairs else candidates
 
 
 def _pairs_where(pairs, keep, new):
@@ -171,47 +163,47 @@ def _pairs_where(pairs, keep, new):
     return np.ascontiguousarray(out[:, : conflicts.keep_pairs(pairs, keep, new, out)])
 
 
-def _assemble(problem, preselection, start, own, target, side, cost, pairs):
+def _assemble(problem, preselection, start, owner, target, side, cost, pairs):
     """Return `Candidates` with the given columns and the data that are derived from these columns."""
     rank = problem.rank_of(target)
-    place = problem.spectrograph_of(own, target) if problem.groups else None
-    near = [members(problem, rule, rule.what, own, target) for rule in problem.distributions]
-    held = np.array([g.holds(target, place, own) for g in problem.groups], dtype=bool).reshape(-1, len(own))
+    place = problem.spectrograph_of(owner, target) if problem.groups else None
+    near = [members(problem, rule, rule.what, owner, target) for rule in problem.distributions]
+    held = np.array([g.holds(target, place, owner) for g in problem.groups], dtype=bool).reshape(-1, len(owner))
     key, as_good = _keys(problem, target, held, near)
     pairs = np.ascontiguousarray(pairs)  # for another memory layout, numba would compile the kernel again
-    by_target, adjacency = _by_target(target, len(problem.xy)), _adjacency(len(own), pairs)
-    options = conflicts.Options(start, own, target, rank, cost, key, as_good, *by_target, **adjacency)
+    by_target, adjacency = _by_target(target, len(problem.xy)), _adjacency(len(owner), pairs)
+    options = conflicts.Options(start, owner, target, rank, cost, key, as_good, *by_target, **adjacency)
     return Candidates(problem, options, side, pairs, held, preselection)
 
 
 def _adjacency(n, pairs):
     """Return the collisions of each of n candidates as compressed rows, for `Options`."""
-    indptr, other = np.empty(n + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
-    conflicts.adjacency(pairs[0], pairs[1], indptr, other)
-    return {"indptr": indptr, "other": other}
+    indptr, excluded = np.empty(n + 1, dtype=np.int64), np.empty(2 * pairs.shape[1], dtype=np.int64)
+    conflicts.adjacency(pairs[0], pairs[1], indptr, excluded)
+    return {"indptr": indptr, "excluded": excluded}
 
 
-def list_candidates(problem, reach, both):
+def list_candidates(problem, reach, both_elbows):
     """Return ``start`` and the positioner, target, elbow and squared distance of all candidates, including idle arms.
 
     There is one candidate for each target in reach and each possible elbow position.
     """
     plane = problem.focal_plane
     indptr, target, r2 = reach.by_positioner
-    own = np.repeat(np.arange(len(plane)), np.diff(indptr))
-    fiber = problem.fiber_of(own, target)
-    side = plane.arrays.sides(problem.xy[target], own, fiber)
-    if both and plane.positioner.handedness == "both":
-        allowed = {s: plane.arrays.poses_allowed(own, problem.xy[target], s, fiber) for s in (1.0, -1.0)}
-        columns = [(own[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
-        own, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    owner = np.repeat(np.arange(len(plane)), np.diff(indptr))
+    fiber = problem.fiber_of(owner, target)
+    side = plane.arrays.sides(problem.xy[target], owner, fiber)
+    if both_elbows and plane.positioner.handedness == "both":
+        allowed = {s: plane.arrays.poses_allowed(owner, problem.xy[target], s, fiber) for s in (1.0, -1.0)}
+        columns = [(owner[ok], target[ok], np.full(ok.sum(), s), r2[ok]) for s, ok in allowed.items()]
+        owner, target, side, r2 = (np.concatenate(parts) for parts in zip(*columns, strict=True))
     n = len(plane)
     watched = np.full(n, -1) if problem.watched is None else problem.watched
-    columns = (own, np.arange(n)), (target, watched), (side, plane.arrays.sides(plane.arrays.xy)), (r2, np.zeros(n))
-    own, target, side, r2 = (np.concatenate(parts) for parts in columns)
-    order = np.argsort(own, kind="stable")  # the idle arm of each positioner is its last candidate
-    start = np.concatenate([[0], np.cumsum(np.bincount(own, minlength=n))])
-    return start, own[order], target[order], side[order], r2[order]
+    columns = (owner, np.arange(n)), (target, watched), (side, plane.arrays.sides(plane.arrays.xy)), (r2, np.zeros(n))
+    owner, target, side, r2 = (np.concatenate(parts) for parts in columns)
+    order = np.argsort(owner, kind="stable")  # the idle arm of each positioner is its last candidate
+    start = np.concatenate([[0], np.cumsum(np.bincount(owner, minlength=n))])
+    return start, owner[order], target[order], side[order], r2[order]
 
 
 def obstacle_hits(plane, start, segments):
@@ -237,7 +229,7 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf, mo
     outlined = columns.limits.outline.start.size > 1
     work = np.cumsum(work)
     batch = BATCH if moves is None else BATCH // SLOWER
-    p, found, total, begin = 0, [], 0, now()
+    p, parts, total, begin = 0, [], 0, now()
     while p < len(pairs):
         part = pairs[: int(np.searchsorted(work, (work[p - 1] if p else 0) + batch)) + 1]
         if moves is not None:
@@ -255,12 +247,12 @@ def find_conflicts(plane, start, segments, seconds=np.inf, most_pairs=np.inf, mo
             rows = [(*part[:, k], *owner[part[:, k]]) for k in edge]
             close = [arms_closer_exactly(columns, segments, *four) for four in rows]
             part = np.delete(part, edge[~np.array(close)], axis=1)
-        found.append(part)
+        parts.append(part)
         total += part.shape[1]
         # the work of all pairs, divided by the work that is done, predicts the total time
         if (now() - begin) * (work[-1] / max(work[p - 1], 1)) > seconds or total > most_pairs:
             raise OutOfTimeError
-    return np.concatenate(found, axis=1) if found else np.empty((2, 0), dtype=np.int64)
+    return np.concatenate(parts, axis=1) if parts else np.empty((2, 0), dtype=np.int64)
 
 
 def _keys(problem, target, held, near):
@@ -275,7 +267,7 @@ def _keys(problem, target, held, near):
     required = np.zeros((0, len(target)), dtype=bool)
     if problem.any_required:
         required = np.append(problem.is_required, False)[target][None]
-    does = np.concatenate([held[np.flatnonzero(low)], required, *(one[None] for one in near)])
+    does = np.concatenate([held[np.flatnonzero(low)], required, *(near_rule[None] for near_rule in near)])
     spends = held[np.flatnonzero(high)]
     if len(does) + len(spends) == 0:
         return np.zeros(len(target), dtype=np.int64), np.ones((1, 1), dtype=bool)
@@ -318,9 +310,9 @@ def reduced(options: conflicts.Options, deadline: float = np.inf) -> np.ndarray:
     ndarray of bool, shape (n_candidates,)
         Whether each candidate remains.
     """
-    n = len(options.start) - 1
-    alive, queue, waiting = np.ones(len(options.own), dtype=bool), np.arange(n), np.ones(n, dtype=bool)
-    ends, mark, removed = np.array([0, n]), np.full(len(options.own), -1), np.empty(len(options.own), dtype=np.int64)
+    n, size = len(options.start) - 1, len(options.owner)
+    alive, queue, waiting = np.ones(size, dtype=bool), np.arange(n), np.ones(n, dtype=bool)
+    ends, mark, removed = np.array([0, n]), np.full(size, -1), np.empty(size, dtype=np.int64)
     while ends[0] < ends[1] and left(deadline) > 0:
         reduce.reduce_some(options, alive, queue, waiting, ends, mark, removed, COMPARED)
     return alive
@@ -352,16 +344,16 @@ def cover(options: conflicts.Options, rows: np.ndarray, edges: np.ndarray, deadl
     indptr, column : ndarray of int
         The cliques as compressed rows: clique ``k`` is ``column[indptr[k]:indptr[k + 1]]``. Each clique is sorted.
     """
-    n = len(options.own)
-    both = np.concatenate([edges, _twins(options, rows)], axis=1)
-    indptr, other = _adjacency(n, both).values()
-    covered, room = np.zeros(len(other), dtype=bool), np.empty(n + N_MEMBERS, dtype=np.int64)
+    n = len(options.owner)
+    edges_and_rivals = np.concatenate([edges, _twins(options, rows)], axis=1)
+    indptr, excluded = _adjacency(n, edges_and_rivals).values()
+    covered, room = np.zeros(len(excluded), dtype=bool), np.empty(n + N_MEMBERS, dtype=np.int64)
     first, sizes, columns = 0, [np.zeros(1, dtype=np.int64)], []
     while first < n:
         if left(deadline) == 0:
             raise OutOfTimeError
         some = np.zeros(N_CLIQUES + 1, dtype=np.int64)
-        first, k = conflicts.grow_cliques(options.own, indptr, other, first, covered, some, room, WORK)
+        first, k = conflicts.grow_cliques(options.owner, indptr, excluded, first, covered, some, room, WORK)
         sizes.append(np.diff(some[: k + 1]))
         columns.append(room[: some[k]].copy())
     return np.cumsum(np.concatenate(sizes)), np.concatenate(columns)
@@ -371,12 +363,12 @@ def _twins(options, rows):
     """Return the pairs of candidates that have the same target but different positioners."""
     rows = rows[np.argsort(options.target[rows], kind="stable")]
     rows = rows[options.target[rows] >= 0]
-    found, step = [np.empty((2, 0), dtype=np.int64)], 1
+    parts, step = [np.empty((2, 0), dtype=np.int64)], 1
     while True:
         pair = np.array([rows[:-step], rows[step:]])
         same = options.target[pair[0]] == options.target[pair[1]]
         if not same.any():
-            return np.concatenate(found, axis=1)
-        apart = options.own[pair[0]] != options.own[pair[1]]
-        found.append(pair[:, same & apart])
+            return np.concatenate(parts, axis=1)
+        apart = options.owner[pair[0]] != options.owner[pair[1]]
+        parts.append(pair[:, same & apart])
         step += 1

@@ -56,12 +56,13 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     n = len(options.start) - 1
     chosen = np.where(np.diff(options.start) == 1, options.start[:-1], -1)
     label = _partition(candidates, np.arange(n), LARGEST, 0.0)
-    of_candidate = label[options.own]
+    of_candidate = label[options.owner]
     row = np.repeat(np.arange(len(prices.price)), np.diff(prices.indptr))
     cluster = of_candidate[prices.column]
     low, high = np.full(len(prices.price), len(label)), np.full(len(prices.price), -1)
     np.minimum.at(low, row, cluster)
     np.maximum.at(high, row, cluster)
+    # the prices of cliques within one cluster are replaced by constraints of its integer program
     cross = low != high
     total = float(prices.price[cross].sum())
     value = weights - prices.matrix.T @ np.where(cross, prices.price, 0.0)
@@ -74,14 +75,14 @@ def bound_by_clusters(candidates: Candidates, prices: Prices, weights: np.ndarra
     inner = np.bincount(low[~cross], weights=prices.price[~cross], minlength=len(ends))
     for k in range(len(ends) - 1):
         rows = order[ends[k] : ends[k + 1]]
-        own = np.unique(options.own[rows])
-        start = np.searchsorted(options.own[rows], np.append(own, n))
+        owners = np.unique(options.owner[rows])
+        start = np.searchsorted(options.owner[rows], np.append(owners, n))
         fallback = float(inner[k]) + float(kernels.bound_of(start, reduced[rows], np.zeros(0)))
         bound, x = _solve_cluster(by_column, rows, start, value[rows], deadline)
         total += min(bound, fallback)
         if x is not None:
             used = rows[x > 0.5]
-            chosen[options.own[used]] = used
+            chosen[options.owner[used]] = used
     return total + 1e-9 * (n + float(prices.price.sum())), chosen
 
 
@@ -143,12 +144,13 @@ def improve_by_clusters(
             better, solved = _improve_cluster(candidates, members, now, blocked, holder, deadline, upper)
             improved |= better
             in_time &= solved
+        # clusters grow after two divisions in a row without a better plan, and shrink if a program takes too long
         if not in_time:
             size = max(size // 2, SMALLEST)
         elif improved:
             quiet = 0
         elif (quiet := quiet + 1) > 1:
-            if size >= LARGEST or size >= len(options.own):
+            if size >= LARGEST or size >= len(options.owner):
                 break
             size, quiet = 2 * size, 0
         if not in_time and size == SMALLEST and not improved and (quiet := quiet + 1) > 2:
@@ -167,23 +169,23 @@ def improve_members(
 
 def _improve_cluster(candidates, members, now, blocked, holder, deadline, upper=None):
     """Optimize one cluster in place; return whether its plan improved, and whether the program was solved in time."""
-    options, before, found = candidates.options, now[members].copy(), None
+    options, before, solution = candidates.options, now[members].copy(), None
     limit = share(deadline, FOR_ONE)
     try:
         program = program_of(candidates, members, now, blocked, holder, limit)
         part = None if upper is None else upper_of_part(candidates, now, upper)[0]
-        found = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
+        solution = pursue(program, before, limit, None, integral=True, squared_cost=False, upper=part)
     except OutOfTimeError:
         pass
     better = False
     after = before
-    if found is not None and found.chosen is not None and len(found.chosen) == len(members):
+    if solution is not None and solution.chosen is not None and len(solution.chosen) == len(members):
         x = program.variables(before)
-        better = not program.holds(x) or tuple(found.values) > tuple(program.reaches(x))
-        after = found.chosen
+        better = not program.holds(x) or tuple(solution.values) > tuple(program.reaches(x))
+        after = solution.chosen
     for c in after:
-        moves.put(options.own[c], c, options, now, blocked, holder)
-    return better, found is not None and bool((found.values >= found.bounds).all())
+        moves.put(options.owner[c], c, options, now, blocked, holder)
+    return better, solution is not None and bool((solution.values >= solution.bounds).all())
 
 
 def upper_of_part(candidates: Candidates, now: np.ndarray, upper: Callable) -> tuple[Callable, np.ndarray]:
@@ -205,13 +207,11 @@ def program_of(candidates: Candidates, members: np.ndarray, now, blocked, holder
     options = candidates.options
     for i in members:
         moves.put(i, -1, options, now, blocked, holder)
-    size = options.start[members + 1] - options.start[members]
-    begin = np.cumsum(size) - size
-    rows = np.repeat(options.start[members] - begin, size) + np.arange(size.sum())
+    rows = _ranges(options.start[members], options.start[members + 1])
     target = options.target[rows]
     rows = rows[(blocked[rows] == 0) & ((target < 0) | (holder[target] < 0))]
-    others = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
-    return Program(candidates, rows, others, edges_within(options, rows), deadline)
+    outside = now[now >= 0] if candidates.problem.any_goals else np.empty(0, dtype=np.int64)
+    return Program(candidates, rows, outside, edges_within(options, rows), deadline)
 
 
 def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
@@ -229,14 +229,18 @@ def edges_within(options: conflicts.Options, rows: np.ndarray) -> np.ndarray:
     ndarray of int, shape (2, m)
         Pairs of candidates that collide.
     """
-    size = options.indptr[rows + 1] - options.indptr[rows]
-    begin = np.cumsum(size) - size
-    first = np.repeat(rows, size)
-    second = options.other[np.repeat(options.indptr[rows] - begin, size) + np.arange(size.sum())]
+    begin, end = options.indptr[rows], options.indptr[rows + 1]
+    first, second = np.repeat(rows, end - begin), options.excluded[_ranges(begin, end)]
     sorted_rows = np.sort(rows)
     place = np.minimum(np.searchsorted(sorted_rows, second), len(rows) - 1)
     keep = (sorted_rows[place] == second) & (first < second) if len(rows) else np.zeros(0, dtype=bool)
     return np.array([first[keep], second[keep]])
+
+
+def _ranges(begin, end):
+    """Return the whole numbers from ``begin[k]`` to ``end[k] - 1``, for each k in turn."""
+    size = end - begin
+    return np.repeat(begin - np.cumsum(size) + size, size) + np.arange(size.sum())
 
 
 def _partition(candidates, members, size, angle):
@@ -249,6 +253,7 @@ def _partition(candidates, members, size, angle):
     xy = candidates.problem.focal_plane.arrays.xy[members]
     load = np.diff(options.start)[members]
     n_strips = max(round(np.sqrt(load.sum() / size)), 1)
+    # strips along v and then cells of each strip, with about equal numbers of candidates
     u, v = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]]) @ xy.T
     order = np.lexsort((v, u))
     before = np.cumsum(load[order]) - load[order]

@@ -11,10 +11,10 @@ MOST_LISTED = 1000
 
 def recorded_constraints(record: dict) -> list[str]:
     """Return the text of all constraints in a record of options, which results store."""
-    found = [*record.get("requirements", [])] if isinstance(record.get("requirements"), list) else []
-    found += [f"required {' '.join(record['required'])}"] if record.get("required") else []
-    found += [f"keep_out {text.removeprefix('cap ')}" for text in record.get("keep_out", [])]
-    return [*found, *record.get("constraints", [])]
+    texts = [*record.get("requirements", [])] if isinstance(record.get("requirements"), list) else []
+    texts += [f"required {' '.join(record['required'])}"] if record.get("required") else []
+    texts += [f"keep_out {text.removeprefix('cap ')}" for text in record.get("keep_out", [])]
+    return [*texts, *record.get("constraints", [])]
 
 
 def recorded(texts: list[str]) -> list[str]:

@@ -17,37 +17,35 @@ class Spread(NamedTuple):
     """The candidates that a rule on the distribution of fibers concerns."""
 
     rule: Distribution
-    science: np.ndarray
-    """Whether each candidate is a science fiber of the rule."""
-    near: np.ndarray
-    """Whether each candidate can be a neighbor of a science fiber."""
+    science: np.ndarray  # whether each candidate is a science fiber of the rule
+    near: np.ndarray  # whether each candidate can be a neighbor of a science fiber
 
 
-def members(problem, rule: Distribution, what: str, own: np.ndarray, target: np.ndarray) -> np.ndarray:
+def members(problem, rule: Distribution, what: str, owner: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return whether assignments are of a kind or category, and use the fiber type of a rule."""
-    found = np.append(has_role(problem.kind, what) | (problem.category == what), False)[target]
+    is_member = np.append(has_role(problem.kind, what) | (problem.category == what), False)[target]
     if rule.fiber_type:
-        found &= problem.fiber_of(own, target) == problem.focal_plane.fiber_types.index(rule.fiber_type)
-    return found
+        is_member &= problem.fiber_of(owner, target) == problem.focal_plane.fiber_types.index(rule.fiber_type)
+    return is_member
 
 
 def is_possible(problem, rule: Distribution) -> bool:
     """Return whether at least one science target in reach has enough neighbors in reach."""
-    own, target = problem.pairs.owner, problem.pairs.target
+    owner, target = problem.pairs.owner, problem.pairs.target
     if problem.watched is not None:
         stuck = np.flatnonzero(problem.watched >= 0)
-        own, target = np.append(own, stuck), np.append(target, problem.watched[stuck])
+        owner, target = np.append(owner, stuck), np.append(target, problem.watched[stuck])
     science, near = (
-        problem.xy[np.unique(target[members(problem, rule, what, own, target)])] for what in ("science", rule.what)
+        problem.xy[np.unique(target[members(problem, rule, what, owner, target)])] for what in ("science", rule.what)
     )
     return bool((rule.distances(science, near, rule.k) <= rule.distance_mm).any())
 
 
 def lack_of(problem, rule: Distribution, target_of: np.ndarray) -> int:
     """Return how many more science fibers of a plan would need neighbors so that the plan complies with a rule."""
-    own = np.flatnonzero(target_of >= 0)
-    target = target_of[own]
-    science, near = (problem.xy[target[members(problem, rule, what, own, target)]] for what in ("science", rule.what))
+    owner = np.flatnonzero(target_of >= 0)
+    target = target_of[owner]
+    science, near = (problem.xy[target[members(problem, rule, what, owner, target)]] for what in ("science", rule.what))
     n_served = int((rule.distances(science, near, rule.k) <= rule.distance_mm).sum())
     return max(rule.least(len(science)) - n_served, 0)
 
@@ -64,9 +62,9 @@ def pairs_within(first: np.ndarray, second: np.ndarray, distance: float) -> tupl
 
     if len(first) == 0 or len(second) == 0:
         return np.empty((2, 0), dtype=np.int64)
-    found = cKDTree(first).sparse_distance_matrix(cKDTree(second), distance * WIDER, output_type="ndarray")
-    found = found[np.sqrt(((first[found["i"]] - second[found["j"]]) ** 2).sum(axis=1)) <= distance]
-    return found["i"].astype(np.int64), found["j"].astype(np.int64)
+    pairs = cKDTree(first).sparse_distance_matrix(cKDTree(second), distance * WIDER, output_type="ndarray")
+    pairs = pairs[np.sqrt(((first[pairs["i"]] - second[pairs["j"]]) ** 2).sum(axis=1)) <= distance]
+    return pairs["i"].astype(np.int64), pairs["j"].astype(np.int64)
 
 
 def drop_neighbors(candidates, chosen: np.ndarray) -> np.ndarray:
@@ -95,29 +93,30 @@ def add_neighbors(candidates, spread: Spread, deadline: float, now, blocked, hol
         return
     least, most = candidates.limits
     keep = np.append(problem.is_required, False)[options.target]
-    keep |= np.any([one.near for one in candidates.spreads], axis=0)
+    keep |= np.any([spread.near for spread in candidates.spreads], axis=0)
     able, fibers = np.flatnonzero(near), now[science[now]]
-    own, alive = options.own[able], np.ones(len(fibers), dtype=bool)
+    owner, alive = options.owner[able], np.ones(len(fibers), dtype=bool)
     place, at = np.unique(options.target[able], return_inverse=True)
     pairs = pairs_within(problem.xy[options.target[fibers]], problem.xy[place], rule.distance_mm)
     close = csr_array((np.ones(len(pairs[0])), pairs), shape=(len(fibers), len(place))).tocsc()
     in_use = np.bincount(at[np.isin(able, now)], minlength=len(place))
     n_near = close @ in_use
     while left(deadline) > 0 and (alive & (n_near >= rule.k)).sum() < rule.least(int(alive.sum())):
+        # a neighbor counts as a fraction of a fiber that lacks several neighbors
         weight = np.where(alive & (n_near < rule.k), 1.0 / np.maximum(rule.k - n_near, 1), 0.0)
         gain = (close.T @ weight)[at]
         some = np.flatnonzero(gain)
-        some = some[(blocked[able[some]] == 0) & (holder[options.target[able[some]]] < 0) & ~keep[now[own[some]]]]
+        some = some[(blocked[able[some]] == 0) & (holder[options.target[able[some]]] < 0) & ~keep[now[owner[some]]]]
         count = held[:, now].sum(axis=1)
-        before, after = held[:, now[own[some]]], held[:, able[some]]
+        before, after = held[:, now[owner[some]]], held[:, able[some]]
         wrong = (after & ~before)[count >= most].any(axis=0) | before[(least > 0) & (count <= least)].any(axis=0)
         some = some[~wrong]
         if len(some) == 0:
             break
         some = some[gain[some] >= gain[some].max() / 2]
-        best = some[np.lexsort((-gain[some], -options.rank[now[own[some]]]))[0]]
-        alive &= fibers != now[own[best]]
-        moves.put(own[best], able[best], options, now, blocked, holder)
+        best = some[np.lexsort((-gain[some], -options.rank[now[owner[some]]]))[0]]
+        alive &= fibers != now[owner[best]]
+        moves.put(owner[best], able[best], options, now, blocked, holder)
         n_near[close.indices[close.indptr[at[best]] : close.indptr[at[best] + 1]]] += 1
 
 
@@ -131,6 +130,6 @@ def drop_unserved(candidates, spread: Spread, now, blocked, holder) -> None:
     apart = rule.distances(problem.xy[options.target[fibers]], problem.xy[options.target[near]], rule.k)
     lacking = fibers[apart > rule.distance_mm]
     for c in lacking[np.argsort(-options.rank[lacking], kind="stable")]:
-        idle = options.start[options.own[c] + 1] - 1
+        idle = options.start[options.owner[c] + 1] - 1
         if lack_of(problem, rule, options.target[now]) > 0 and blocked[idle] == 0 and c != idle:
-            moves.put(options.own[c], idle, options, now, blocked, holder)
+            moves.put(options.owner[c], idle, options, now, blocked, holder)

@@ -34,18 +34,18 @@ def from_tile(table, problem, ids: np.ndarray | None) -> AllocationAnswer:
         np.column_stack([table[f"{part}_{axis}"].to_value("mm") for axis in "xy"]) for part in ("tip", "elbow")
     )
     had = (np.asarray(table["status"]) == "assigned") & np.isfinite(tip).all(axis=1)
-    own, target_of = np.flatnonzero(had), np.where(had, LOST, -1)
-    target = _at(problem.xy, tip[own])
+    owner, target_of = np.flatnonzero(had), np.where(had, LOST, -1)
+    target = _at(problem.xy, tip[owner])
     if ids is not None:
         order = np.argsort(ids.astype(str), kind="stable")
-        names, wanted = ids.astype(str)[order], np.asarray(table["target_id"]).astype(str)[own]
+        names, wanted = ids.astype(str)[order], np.asarray(table["target_id"]).astype(str)[owner]
         place = np.minimum(np.searchsorted(names, wanted), max(len(names) - 1, 0))
-        same = names[place] == wanted if len(names) else np.zeros(len(own), dtype=bool)
+        same = names[place] == wanted if len(names) else np.zeros(len(owner), dtype=bool)
         target = np.where(same, order[place] if len(names) else -1, np.where(target >= len(ids), target, -1))
     pairs = problem.pairs
-    can = (target >= 0) & np.isin(target * n + own, pairs.target * n + pairs.owner) & plane.arrays.usable[own]
-    target_of[own[can]] = target[can]
-    if own.size and not can.any() and len(problem.xy):
+    can = (target >= 0) & np.isin(target * n + owner, pairs.target * n + pairs.owner) & plane.arrays.usable[owner]
+    target_of[owner[can]] = target[can]
+    if owner.size and not can.any() and len(problem.xy):
         warn("no fiber of the tile in start has a target that it can keep; the tile has other targets or another field")
     (ax, ay), (bx, by) = (elbow - plane.arrays.xy).T, (tip - elbow).T
     return AllocationAnswer(target_of, np.where(ax * by - ay * bx < 0, "left", "right"))
@@ -53,20 +53,20 @@ def from_tile(table, problem, ids: np.ndarray | None) -> AllocationAnswer:
 
 def _at(xy: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Return the row of the target at each point; -1 if there is none."""
-    found, known = np.full(len(points), -1), np.flatnonzero(np.isfinite(xy).all(axis=1))
+    rows, known = np.full(len(points), -1), np.flatnonzero(np.isfinite(xy).all(axis=1))
     if len(points) and len(known):
         apart, place = scipy.spatial.cKDTree(xy[known]).query(points)
-        found = np.where(apart <= TOLERANCE_MM, known[place], -1)
-    return found
+        rows = np.where(apart <= TOLERANCE_MM, known[place], -1)
+    return rows
 
 
-def changes_of(before: np.ndarray, own: np.ndarray, target: np.ndarray) -> np.ndarray:
+def changes_of(before: np.ndarray, owner: np.ndarray, target: np.ndarray) -> np.ndarray:
     """Return the cost of each pair of a positioner and a target: 0 if the pair is in the given plan, otherwise 1 or 2.
 
     ``before`` is the target of each positioner in the given plan. For all plans with the same number of targets, the
     sum of the costs is the number of changed fibers plus the same constant.
     """
-    return np.where(before[own] == target, 0.0, np.where(before[own] == -1, 2.0, 1.0))
+    return np.where(before[owner] == target, 0.0, np.where(before[owner] == -1, 2.0, 1.0))
 
 
 def from_allocation(start, problem, n_given: int, in_reach: np.ndarray, order: np.ndarray | None) -> AllocationAnswer:
@@ -77,14 +77,14 @@ def from_allocation(start, problem, n_given: int, in_reach: np.ndarray, order: n
     same = same and np.array_equal(start.in_reach[rows], in_reach)
     same = same and np.array_equal(start.xy_mm[:n_given][rows], points, equal_nan=True)
     if same:
-        own = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
+        owner = np.flatnonzero((start.target_of_positioner >= 0) & plane.arrays.usable)
         columns = plane.arrays.using(plane.arrays.index_of(start.fiber_type))
-        r = np.hypot(*(start.tips_mm[own] - columns.xy[own]).T)
+        r = np.hypot(*(start.tips_mm[owner] - columns.xy[owner]).T)
         slack, (inner, outer) = columns.reach_slack, columns.edges
-        same = not ((r > outer[own] + slack) | (r < inner[own] - slack)).any()
-        side = np.where(start.handedness[own] == "left", -1.0, 1.0)
-        tips = start.tips_mm[own]
-        same = same and (columns.poses_free or columns.poses_allowed(own, tips, side).all())
+        same = not ((r > outer[owner] + slack) | (r < inner[owner] - slack)).any()
+        side = np.where(start.handedness[owner] == "left", -1.0, 1.0)
+        tips = start.tips_mm[owner]
+        same = same and (columns.poses_free or columns.poses_allowed(owner, tips, side).all())
     if not same:
         raise InputError("start must be an allocation of the same targets to the same focal plane")
     target_of = np.where(start.target_of_positioner < start.n_given, start.target_of_positioner, -1)

@@ -42,42 +42,40 @@ def separate_idle_arms(candidates: Candidates, chosen: np.ndarray, deadline: flo
         Candidate of each positioner.
     """
     pairs, idle = candidates.idle_pairs, candidates.options.start[1:] - 1
-    state = stand(candidates, chosen)
-    if (state[1][state[0]] > 0).any():
+    now, blocked, _ = state = stand(candidates, chosen)
+    if (blocked[now] > 0).any():
         return chosen
     xy, load = candidates.problem.focal_plane.arrays.xy, np.diff(candidates.options.start)
     tried = np.zeros(pairs.shape[1], dtype=bool)
     while left(deadline) > 0:
-        now = state[0]
         bad = np.flatnonzero((now[pairs] == idle[pairs]).all(axis=0) & ~tried)
         if len(bad) == 0:
             break
         center = xy[pairs[:, bad[0]]].mean(axis=0)
         order = np.argsort(((xy - center) ** 2).sum(axis=1), kind="stable")
+        # the two positioners of the collision are always members
         members = np.sort(order[np.cumsum(load[order]) <= max(SIZE, load[order[:2]].sum())])
         tried[bad[0]] = True
-        if len(members) == len(xy):
-            tried[:] = True
+        tried |= len(members) == len(xy)
         try:
             _separate(candidates, members, state, share(deadline, FOR_ONE), keep_cost)
         except OutOfTimeError:
             break
-    return state[0]
+    return now
 
 
 def _separate(candidates, members, state, deadline, keep_cost):
     """Minimize the collisions between the idle arms of some positioners in place, while all other arms are fixed."""
-    options, now = candidates.options, state[0]
-    before, idle = now[members].copy(), options.start[1:] - 1
-    after = before
+    options, idle = candidates.options, candidates.options.start[1:] - 1
+    before = after = state[0][members].copy()
     try:
         program = program_of(candidates, members, *state, deadline)
-        x = _fewest(program, candidates.idle_pairs, idle, now, program.variables(before), deadline, keep_cost)
+        x = _fewest(program, candidates.idle_pairs, idle, state[0], program.variables(before), deadline, keep_cost)
         if x is not None and len(program.chosen(x)) == len(members):
             after = program.chosen(x)
-    finally:
+    finally:  # `program_of` takes the candidates from the members before it can run out of time
         for c in after:
-            moves.put(options.own[c], c, options, *state)
+            moves.put(options.owner[c], c, options, *state)
 
 
 def _fewest(program, pairs, idle, now, x, deadline, keep_cost):
@@ -85,34 +83,42 @@ def _fewest(program, pairs, idle, now, x, deadline, keep_cost):
 
     None is returned if no plan has fewer of these collisions than plan ``x``.
     """
-    place = program.index[idle[pairs]]  # -1 for positioners that are not members
-    cost = np.zeros(program.n)
-    both = place[:, (place >= 0).all(axis=0)]
-    for k in (0, 1):
-        alone = (place[k] >= 0) & (now[pairs[1 - k]] == idle[pairs[1 - k]])
-        np.add.at(cost, place[k][alone], 1.0)
-    m = both.shape[1]
-    matrix, low, high = program.rows
-    kept = vstack([program.matrix, csr_array(-np.round(program.costs, DIGITS)[None])], format="csr")
-    kept = kept if keep_cost else program.matrix
-    matrix = vstack([matrix, kept], format="csr")
-    low = np.concatenate([low, kept @ x, np.full(m, -np.inf)])
-    high = np.concatenate([high, np.full(kept.shape[0], np.inf), np.ones(m)])
-    ones = np.ones(m)
-    link = csr_array((np.tile(ones, 2), (np.tile(np.arange(m), 2), both.ravel())), shape=(m, program.n))
-    slack = csr_array((-ones, (np.arange(m), np.arange(m))), shape=(m, m))
-    wide = hstack([matrix, csr_array((matrix.shape[0], m))], format="csr")
-    matrix = vstack([wide, hstack([link, slack], format="csr")], format="csr")
-    goal, most = np.append(-cost, -ones), np.append(program.most, ones)
+    variable = program.index[idle[pairs]]  # of each idle arm; -1 for positioners that are not members
+    linked = variable[:, (variable >= 0).all(axis=0)]
+    cost, unit = np.zeros(program.n), np.ones(linked.shape[1])
+    for member, fixed in ((0, 1), (1, 0)):
+        alone = (variable[member] >= 0) & (now[pairs[fixed]] == idle[pairs[fixed]])
+        np.add.at(cost, variable[member][alone], 1.0)
+    costs = [csr_array(-np.round(program.costs, DIGITS)[None])] if keep_cost else []
+    kept = vstack([program.matrix, *costs], format="csr")
+    rows = _with_pairs(_with_least(program.rows, kept, kept @ x), linked)
+    goal, most = np.append(-cost, -unit), np.append(program.most, unit)
     settings = {"integral": True, "gap": 0.0, "presolve": True}
-    found, _ = maximize((matrix, low, high), goal, most, deadline, **settings)
-    before = cost @ x + (x[both[0]] * x[both[1]]).sum()
-    if found is None or -goal @ found > before - 0.5:
+    fewest, _ = maximize(rows, goal, most, deadline, **settings)
+    # the numbers of collisions are whole numbers
+    if fewest is None or -goal @ fewest > cost @ x + (x[linked[0]] * x[linked[1]]).sum() - 0.5:
         return None
     if program.problem.subpriority is not None:
-        matrix = vstack([matrix, csr_array(goal[None])], format="csr")
-        low, high = np.append(low, goal @ found), np.append(high, np.inf)
-        worth = np.append(-program.costs, np.zeros(m))
-        best, _ = maximize((matrix, low, high), worth, most, deadline, **settings)
-        found = found if best is None else best
-    return found[: program.n]
+        rows = _with_least(rows, csr_array(goal[None]), goal @ fewest)
+        best, _ = maximize(rows, np.append(-program.costs, 0.0 * unit), most, deadline, **settings)
+        fewest = fewest if best is None else best
+    return fewest[: program.n]
+
+
+def _with_least(rows, matrix, least):
+    """Return constraints with additional constraints: ``matrix`` times the variables is at least ``least``."""
+    present, low, high = rows
+    high = np.append(high, np.full(matrix.shape[0], np.inf))
+    return vstack([present, matrix], format="csr"), np.append(low, least), high
+
+
+def _with_pairs(rows, linked):
+    """Return constraints with a variable for each pair of variables, which is 1 if both variables of the pair are 1."""
+    matrix, low, high = rows
+    n = linked.shape[1]
+    unit, row = np.ones(n), np.arange(n)
+    # the sum of the pair minus the new variable is at most 1; the new variable is 0 otherwise, because it has a cost
+    link = csr_array((np.tile(unit, 2), (np.tile(row, 2), linked.ravel())), shape=(n, matrix.shape[1]))
+    link = hstack([link, csr_array((-unit, (row, row)), shape=(n, n))], format="csr")
+    wide = hstack([matrix, csr_array((matrix.shape[0], n))], format="csr")
+    return vstack([wide, link], format="csr"), np.append(low, np.full(n, -np.inf)), np.append(high, unit)

@@ -24,15 +24,12 @@ FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
 class Solution(NamedTuple):
     """The plan of some positioners: the candidate of each positioner, and the value and bound of each objective."""
 
-    chosen: np.ndarray | None
-    """Candidates in use; None if no plan was found within the time limit."""
+    chosen: np.ndarray | None  # candidates in use; None if no plan was found within the time limit
     values: np.ndarray
     bounds: np.ndarray
     n_programs: int
-    integral: bool
-    """Whether an integer program had to be solved."""
-    least: float = 0.0
-    """Lower bound of the cost of all plans that reach the bounds of all objectives; costs are not negative."""
+    integral: bool  # whether an integer program had to be solved
+    least: float = 0.0  # lower bound of the cost of all plans that reach all bounds; costs are not negative
 
 
 class _Pursuit:
@@ -86,6 +83,7 @@ class _Pursuit:
     def next_pack(self, k, largest):
         """Return the number of objectives, beginning with k, that can form one weighted sum, and their weights."""
         sizes = (self.program.high - self.program.low + 1.0)[k:]
+        # each weight exceeds the largest possible sum of all later terms, like the digits of a number
         n = max(int((np.cumprod(sizes) <= largest).sum()), 1)
         return n, np.cumprod([1.0, *sizes[1:n][::-1]])[::-1]
 
@@ -116,6 +114,7 @@ class _Pursuit:
                 return 0, np.inf
             self.take(x)
             values = program.reaches(x)
+            # all values of the goal are whole numbers
             done = (goal + extra) @ x >= bound - 0.5
             if done and self.is_kept(values):
                 self.solved += values[k : k + n].tolist()

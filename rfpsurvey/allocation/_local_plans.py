@@ -27,13 +27,11 @@ LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 class Found(NamedTuple):
     """The result of a search."""
 
-    chosen: np.ndarray | None
-    """Candidate that each positioner uses; None if no plan was found within the time limit."""
+    chosen: np.ndarray | None  # candidate that each positioner uses; None if no plan was found within the time limit
     values: np.ndarray
     bounds: np.ndarray
     meta: dict
-    least: float = 0.0
-    """Lower bound of the cost, as in `Solution`."""
+    least: float = 0.0  # lower bound of the cost, as in `Solution`
 
 
 def values_of(candidates: Candidates, chosen: np.ndarray) -> np.ndarray:
@@ -48,10 +46,10 @@ class Repaired(NamedTuple):
     side: np.ndarray
 
 
-def repaired_plan(problem: AllocationProblem, everything: Candidates) -> Repaired:
+def repaired_plan(problem: AllocationProblem, given: Candidates) -> Repaired:
     """Return the plan of the allocator ``repair``, whose time is not limited.
 
-    If there are too many collisions of candidates, the plan only uses the candidates ``everything``.
+    If there are too many collisions of candidates, the plan only uses the candidates ``given``.
     """
     before = lamost_rule(problem).target_of_positioner
     candidates = movable_candidates(problem, before)
@@ -59,21 +57,21 @@ def repaired_plan(problem: AllocationProblem, everything: Candidates) -> Repaire
         candidates, plan = repair_nearby(candidates, pick(candidates, trim(problem, before)), most_pairs=MOST_PAIRS)
         return Repaired(candidates.options.target[plan], candidates.side[plan])
     deadline = max(problem.deadline, now() + AT_LEAST)
-    plan = repair_collisions(everything, pick(everything, trim(problem, before)), deadline)
-    return Repaired(everything.options.target[plan], everything.side[plan])
+    plan = repair_collisions(given, pick(given, trim(problem, before)), deadline)
+    return Repaired(given.options.target[plan], given.side[plan])
 
 
-def local_optimum(problem: AllocationProblem, everything: Candidates) -> Found | None:
+def local_optimum(problem: AllocationProblem, candidates: Candidates) -> Found | None:
     """Return a plan from local moves if it is as good as the best plan that ignores collisions; otherwise, return None.
 
     The plan does not depend on the order in which the targets were given.
     """
     if problem.groups:
         return None
-    repaired = repaired_plan(problem, everything)
-    best = everything.problem.level_values(match(everything))
-    plan, is_whole = plan_of(everything, repaired, np.inf)
-    if not is_whole or (values_of(everything, plan) < best).any():
+    repaired = repaired_plan(problem, candidates)
+    best = candidates.problem.level_values(match(candidates))
+    plan, is_whole = plan_of(candidates, repaired, np.inf)
+    if not is_whole or (values_of(candidates, plan) < best).any():
         return None
     return Found(plan, best, best, LOCAL)
 
@@ -91,13 +89,13 @@ def plan_of(candidates: Candidates, repaired: Repaired, deadline: float) -> tupl
 
 
 def better_of(
-    used: Candidates, chosen: np.ndarray, everything: Candidates, repaired: Repaired, deadline: float
+    used: Candidates, chosen: np.ndarray, candidates: Candidates, repaired: Repaired, deadline: float
 ) -> tuple[Candidates, np.ndarray]:
     """Return the better of a plan of the candidates ``used`` and the plan of ``repair``, and its candidates."""
-    values, best = everything.problem.level_values(repaired.target_of), (used, chosen)
+    values, best = candidates.problem.level_values(repaired.target_of), (used, chosen)
     # the candidates ``used`` are fewer, but may lack some of the candidates of the plan of ``repair``
-    for some in (everything, used):
-        if tuple(values) > tuple(values_of(*best)) or (some is used and best[0] is everything):
+    for some in (candidates, used):
+        if tuple(values) > tuple(values_of(*best)) or (some is used and best[0] is candidates):
             plan, _ = plan_of(some, repaired, deadline)
             if tuple(values_of(some, plan)) >= tuple(values_of(*best)):
                 best = some, plan

@@ -44,23 +44,24 @@ def match(candidates: Candidates) -> np.ndarray:
     n, m = len(options.start) - 1, len(problem.xy)
     classes = problem.rank
     if problem.any_required:
+        # required targets are more important than all classes
         classes = classes - problem.is_required * (len(problem.classes) + 2)
     target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets have candidates
     order = able[np.argsort(classes[able], kind="stable")]
-    rules.match(order, options.t_indptr, options.own[options.t_candidate], target_of, positioner_of)
+    rules.match(order, options.t_indptr, options.owner[options.t_candidate], target_of, positioner_of)
     return target_of
 
 
 def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
     """Return the candidate of each positioner for given targets and elbows, or -1 if there is no such candidate."""
     options = candidates.options
-    fits = (options.target >= 0) & (options.target == target_of[options.own])
+    fits = (options.target >= 0) & (options.target == target_of[options.owner])
     if side is not None:
-        fits &= candidates.side == side[options.own]
+        fits &= candidates.side == side[options.owner]
     chosen = np.full(len(target_of), -1)
-    rows = np.flatnonzero(fits)[::-1]
-    chosen[options.own[rows]] = rows
+    rows = np.flatnonzero(fits)[::-1]  # the first candidate that fits is the last to be written
+    chosen[options.owner[rows]] = rows
     return chosen
 
 
@@ -71,47 +72,48 @@ def trim(problem: AllocationProblem, target_of: np.ndarray) -> np.ndarray:
         most = group.requirement.maximum
         if most is None:
             continue
-        own = np.flatnonzero(target_of >= 0)
-        own = own[group.holds(target_of[own], problem.spectrograph_of(own, target_of[own]), own)]
+        owner = np.flatnonzero(target_of >= 0)
+        owner = owner[group.holds(target_of[owner], problem.spectrograph_of(owner, target_of[owner]), owner)]
         # The sky positions that stuck fibers observe cannot be removed.
-        own = own[np.lexsort((problem.rank_of(target_of[own]), problem.focal_plane.arrays.usable[own]))]
-        extra = own[most:]
+        owner = owner[np.lexsort((problem.rank_of(target_of[owner]), problem.focal_plane.arrays.usable[owner]))]
+        extra = owner[most:]
         target_of[extra[problem.focal_plane.arrays.usable[extra]]] = -1
     return target_of
 
 
 def repair_nearby(
-    everything: Candidates, chosen: np.ndarray, *, steady: bool = False, **limits: float
+    candidates: Candidates, chosen: np.ndarray, *, steady: bool = False, **limits: float
 ) -> tuple[Candidates, np.ndarray]:
     """Return candidates, and the result of `repair_collisions` for them, in less time than for all candidates.
 
-    The collisions of ``everything`` are not yet known. A positioner only needs the candidate that it uses, unless it
+    The collisions of ``candidates`` are not yet known. A positioner only needs the candidate that it uses, unless it
     collides, has no target of the best class in reach, touches a positioner of this kind, or shares a target with it.
     Exchange moves change no other positioners. ``limits`` are those of `Candidates.with_collisions`.
     """
-    options, problem = everything.options, everything.problem
+    options, problem = candidates.options, candidates.problem
     idle = options.start[1:] - 1
     plan = np.where(chosen < 0, idle, chosen)
-    if len(everything) > CROWDED * len(plan) and not problem.any_goals:
-        keep = np.zeros(len(everything), dtype=bool)
+    if len(candidates) > CROWDED * len(plan) and not problem.any_goals:
+        keep = np.zeros(len(candidates), dtype=bool)
         keep[plan] = keep[idle] = True
-        used = everything.where(keep).with_collisions(**limits)
+        used = candidates.where(keep).with_collisions(**limits)
         now, blocked, _ = stand(used, np.searchsorted(np.flatnonzero(keep), plan))
         active = (blocked[now] > 0) | (options.rank[plan] > _best_rank(options))
+        # near: active positioners, their neighbors, and positioners that reach a target of an active positioner
         near, first, second = active.copy(), *problem.focal_plane.arrays.neighbors.T
         near[second[active[first]]] = near[first[active[second]]] = True
         shared = np.zeros(len(problem.xy) + 1, dtype=bool)  # the last element is for idle arms
-        shared[options.target[active[options.own]]] = True
+        shared[options.target[active[options.owner]]] = True
         shared[-1] = False
-        near[options.own[shared[options.target]]] = True
-        keep |= near[options.own]
-        some = everything.where(keep).with_collisions(**limits)
+        near[options.owner[shared[options.target]]] = True
+        keep |= near[options.owner]
+        some = candidates.where(keep).with_collisions(**limits)
         first = np.searchsorted(np.flatnonzero(keep), plan)
-        found = repair_collisions(some, first, active=active, near=near, steady=steady)
-        if found is not None:
-            return some, found
-    everything = everything.with_collisions(**limits)
-    return everything, repair_collisions(everything, plan, steady=steady)
+        repaired = repair_collisions(some, first, active=active, near=near, steady=steady)
+        if repaired is not None:
+            return some, repaired
+    candidates = candidates.with_collisions(**limits)
+    return candidates, repair_collisions(candidates, plan, steady=steady)
 
 
 def repair_collisions(
@@ -169,6 +171,7 @@ def _meet_goals(candidates, now, blocked, holder, deadline):
             first = _order(candidates, now)
             first = first[~candidates.counted[now[first]]]
             moves.fill_group(first, need, g, held, count, candidates.limits[1], candidates.options, *state)
+    # candidates of requirements may have replaced neighbors
     for spread in candidates.spreads:
         add_neighbors(candidates, spread, deadline, *state)
 
@@ -182,14 +185,14 @@ def _recover(candidates, chosen, deadline, steady):
         return chosen
     for c in np.flatnonzero(np.isin(options.target, lost) & (options.rank == 0)):
         now, blocked, holder = state = stand(candidates, chosen)
-        excluded = options.other[options.indptr[c] : options.indptr[c + 1]]
-        others = options.own[excluded[now[options.own[excluded]] == excluded]]
-        if holder[options.target[c]] >= 0 or (np.diff(options.start)[others] == 1).any() or left(deadline) == 0:
+        excluded = options.excluded[options.indptr[c] : options.indptr[c + 1]]
+        displaced = options.owner[excluded[now[options.owner[excluded]] == excluded]]
+        if holder[options.target[c]] >= 0 or (np.diff(options.start)[displaced] == 1).any() or left(deadline) == 0:
             continue
-        for j in others:
+        for j in displaced:
             moves.put(j, -1, options, *state)
-        moves.put(options.own[c], c, options, *state)
-        for j in others:
+        moves.put(options.owner[c], c, options, *state)
+        for j in displaced:
             idle = options.start[j + 1] - 1
             best = moves.best_free(j, idle, options, *state)
             moves.put(j, idle if best < 0 else best, options, *state)
@@ -217,7 +220,7 @@ def improve(
     if near is not None:
         fixed |= ~near
     plan, move = _plan(candidates, chosen, goals), new_move(goals.n_classes)
-    plain, progress = goals._replace(worth=np.zeros(len(options.own))), np.array([SEED, 0], dtype=np.uint64)
+    plain, progress = goals._replace(worth=np.zeros(len(options.owner))), np.array([SEED, 0], dtype=np.uint64)
     is_small, is_long = len(chosen) < SMALL, problem.focal_plane.arrays.n_sharing.mean() > ADJACENT
     stages = [(plain, *(FEW_ARMS if is_small else LONG_ARMS))] if is_small or is_long else []
     if goals.worth.any() or not stages:
@@ -256,12 +259,12 @@ def _goals(candidates):
         *candidates.limits,
         len(problem.classes),
         problem.objective == "count" and len(problem.classes) > 1,
-        np.array([one.science for one in spreads], dtype=bool).reshape(shape),
-        np.array([one.near for one in spreads], dtype=bool).reshape(shape),
+        np.array([spread.science for spread in spreads], dtype=bool).reshape(shape),
+        np.array([spread.near for spread in spreads], dtype=bool).reshape(shape),
         np.concatenate(indptr),
         np.concatenate(close),
-        np.array([one.rule.k for one in spreads], dtype=np.int64),
-        np.array([one.rule.percent for one in spreads], dtype=float),
+        np.array([spread.rule.k for spread in spreads], dtype=np.int64),
+        np.array([spread.rule.percent for spread in spreads], dtype=float),
     )
 
 
@@ -316,7 +319,7 @@ def _best_rank(options):
 
 def _batches(options, order):
     """Divide positioners into batches whose candidates have about ``BATCH`` collisions."""
-    if options.indptr[-1] + len(options.own) < BATCH:
+    if options.indptr[-1] + len(options.owner) < BATCH:
         return [order]
     ends = options.indptr[options.start]
     work = np.cumsum((np.diff(ends) + np.diff(options.start))[order])

@@ -27,28 +27,17 @@ LEVELS = {"exactly": EXACTLY, "goal": AS_GOAL, "no": ONLY_CHECKED}
 class Allocator(Method):
     """An allocator, and the properties of its plans; the default values are those of a function without a record."""
 
-    avoids_collisions: bool = False
-    """Whether no arm with a target collides with another arm or an obstacle."""
-    searches: bool = False
-    """Whether a search, which ends at the time limit at the latest, proves that no other plan is better."""
-    counts: str = "no"
-    """Whether the plan meets minimum and maximum numbers of targets ``exactly``, as a ``goal``, or not (``no``)."""
-    distribution: str = "no"
-    """Whether the plan follows rules on the distribution of fibers ``exactly``, as a ``goal``, or not (``no``)."""
-    makes_queues: bool = False
-    """Whether the allocator makes a queue of targets for each positioner."""
-    uses_priorities: bool = True
-    """Whether targets with a larger priority are more important."""
-    breaks_ties: bool = False
-    """Whether targets are sorted by a hash before the search, so that their order has no influence."""
-    plans_jointly: bool = False
-    """Whether a joint plan of a survey can replace the allocator."""
-    keeps_plan: bool = False
-    """Whether the allocator changes as few fibers of a given plan as possible."""
-    is_random: bool = False
-    """Whether plans without subpriorities are random."""
-    rule: Callable | None = None
-    """Rule that plans a tile for many realizations of a survey; None if each realization is a complete survey."""
+    avoids_collisions: bool = False  # whether no arm with a target collides with another arm or an obstacle
+    searches: bool = False  # whether a search, which ends at the time limit, proves that no plan is better
+    counts: str = "no"  # whether the plan meets requirements ``exactly``, as a ``goal``, or not (``no``)
+    distribution: str = "no"  # the same for rules on the distribution of fibers
+    makes_queues: bool = False  # whether the allocator makes a queue of targets for each positioner
+    uses_priorities: bool = True  # whether targets with a larger priority are more important
+    breaks_ties: bool = False  # whether targets are sorted by a hash first, so that their order has no influence
+    plans_jointly: bool = False  # whether a joint plan of a survey can replace the allocator
+    keeps_plan: bool = False  # whether the allocator changes as few fibers of a given plan as possible
+    is_random: bool = False  # whether plans without subpriorities are random
+    rule: Callable | None = None  # plans many realizations of a survey; None if each is a complete survey
 
     def __post_init__(self):
         for name in ("avoids_collisions", "searches", "makes_queues", "uses_priorities"):
@@ -128,10 +117,10 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
-    everything = movable_candidates(problem, before)
+    all_candidates = movable_candidates(problem, before)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
-    first = pick(everything, trim(problem, before), side)
-    candidates, chosen = repair_nearby(everything, first, steady=is_plan(problem.options.start))
+    first = pick(all_candidates, trim(problem, before), side)
+    candidates, chosen = repair_nearby(all_candidates, first, steady=is_plan(problem.options.start))
     target_of, had = candidates.options.target[chosen], before >= 0
     worse = problem.rank_of(target_of) > problem.rank_of(before)  # a less important target, or none
     n_moved, n_dropped = ((had & some).sum() for some in (~worse & (target_of != before), worse))
@@ -139,7 +128,7 @@ def repair(problem: AllocationProblem) -> AllocationAnswer:
     if problem.distributions:
         free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
         meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
-    levels = _bounded(problem, target_of, None if problem.any_goals else match(everything))
+    levels = _bounded(problem, target_of, None if problem.any_goals else match(all_candidates))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 
 
@@ -188,7 +177,7 @@ METHODS = table_of(
 The options of an allocator do not include the options that affect the results of every allocator:
 ``parked_obstacles``, ``keep_out`` and, if a requirement counts sky positions, ``sky_separation``.
 """
-OPTIONS = (*dict.fromkeys(name for one in METHODS.values() for name in one.options), "parked_obstacles")
+OPTIONS = (*dict.fromkeys(name for method in METHODS.values() for name in method.options), "parked_obstacles")
 """Options that not all allocators, or not all instruments, use."""
 
 
@@ -198,7 +187,7 @@ DEFAULT_ALLOCATOR = "repair"
 
 def name_of_best() -> str:
     """Return the name of the allocator that assigns the largest number of targets if collisions are ignored."""
-    return next(name for name, one in METHODS.items() if one.searches and not one.avoids_collisions)
+    return next(name for name, method in METHODS.items() if method.searches and not method.avoids_collisions)
 
 
 def _search(problem, **options):
@@ -260,11 +249,11 @@ def _fill_quotas(problem, target_of):
     owner_of[target_of[used]] = used
     locked = ~plane.arrays.usable
     locked[used] |= problem.is_required[target_of[used]]
-    for one in problem.requirements:
-        groups = [group for group in problem.groups if group.requirement is one and one.minimum > 0]
+    for requirement in problem.requirements:
+        groups = [group for group in problem.groups if group.requirement is requirement and requirement.minimum > 0]
         if not groups:
             continue
-        by_fiber, counting = plane.spectrograph.ndim > 1 and one.per == "spectrograph", None
+        by_fiber, counting = plane.spectrograph.ndim > 1 and requirement.per == "spectrograph", None
         for group in groups:
             if group.targets is not counting:
                 counting, rows = group.targets, reach.where(group.holds_target(reach.target, reach.owner))
@@ -283,5 +272,5 @@ def _fill_quotas(problem, target_of):
             rank = problem.rank_of(target_of)
             able = np.flatnonzero(~locked & inside)
             order = able[np.argsort(-rank[able], kind="stable")]
-            need = one.minimum - len(counted)
+            need = requirement.minimum - len(counted)
             fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

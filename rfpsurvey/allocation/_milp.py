@@ -21,23 +21,23 @@ class SpreadRows:
     variable is 1 if the fiber is in use and has enough neighbors. The variable is not necessary for fibers that have
     enough neighbors, or too few, in every plan of the program.
 
-    The program uses the candidates ``rows``; the candidates ``others`` are in use in every plan.
+    The program uses the candidates ``rows``; the candidates ``outside`` are in use in every plan.
     """
 
-    def __init__(self, candidates: Candidates, spread: Spread, rows: np.ndarray, others: np.ndarray):
+    def __init__(self, candidates: Candidates, spread: Spread, rows: np.ndarray, outside: np.ndarray):
         problem, options, (rule, science, near) = candidates.problem, candidates.options, spread
         xy, target = problem.xy, options.target
         self.k, self.fraction = rule.k, rule.percent / 100
         # columns of the candidates that are science fibers
         self.science, neighbors = np.flatnonzero(science[rows]), np.flatnonzero(near[rows])
-        fixed, n = target[others[science[others]]], len(self.science)
+        fixed, n = target[outside[science[outside]]], len(self.science)
         targets, row = np.unique(np.append(target[rows[self.science]], fixed), return_inverse=True)
         place, at = np.unique(target[rows[neighbors]], return_inverse=True)
         pairs = pairs_within(xy[targets], xy[place], rule.distance_mm)
         close = csr_array((np.ones(len(pairs[0])), pairs), shape=(len(targets), len(place)))
         # columns of the candidates that are neighbors of each target, as ones, and number of fixed neighbors of each
         self.near = close @ csr_array((np.ones(len(at)), (at, neighbors)), shape=(len(place), len(rows)))
-        pairs = pairs_within(xy[targets], xy[target[others[near[others]]]], rule.distance_mm)
+        pairs = pairs_within(xy[targets], xy[target[outside[near[outside]]]], rule.distance_mm)
         self.n_near = np.bincount(pairs[0], minlength=len(targets))
         enough = self.n_near >= rule.k
         is_open = ~enough & (self.n_near + self.near.sum(axis=1) >= rule.k)
@@ -47,13 +47,13 @@ class SpreadRows:
         self.n_fixed, self.n_served = len(fixed), int(enough[row[n:]].sum())
         # the key of a science fiber is its positioner and its target; fixed fibers have a positioner after all others
         after = len(options.start) - 1
-        key = row + len(targets) * np.append(options.own[rows[self.science]], np.full(len(fixed), after))
+        key = row + len(targets) * np.append(options.owner[rows[self.science]], np.full(len(fixed), after))
         fibers, of_fiber = np.unique(key[is_open[row]], return_inverse=True)
         of_column = np.flatnonzero(is_open[row])
         free = of_column < n
         cells = of_fiber[free], self.science[of_column[free]]
         # columns of the candidates of each science fiber, as ones; empty for fixed fibers
-        self.own = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
+        self.owner = csr_array((np.ones(len(cells[0])), cells), shape=(len(fibers), len(rows)))
         positioner, self.row = np.divmod(fibers, max(len(targets), 1))  # the row of ``near`` for each science fiber
         self.is_fixed = positioner == after
         _, place = np.unique(positioner[~self.is_fixed], return_inverse=True)
@@ -66,8 +66,8 @@ class SpreadRows:
 
     def values(self, x: np.ndarray) -> np.ndarray:
         """Return the variables of the science fibers for a plan, from the variables of the candidates."""
-        x = x[: self.own.shape[1]]
-        return (self.is_fixed | (self.own @ x > 0.5)) & (self.near @ x + self.n_near > self.k - 0.5)[self.row]
+        x = x[: self.owner.shape[1]]
+        return (self.is_fixed | (self.owner @ x > 0.5)) & (self.near @ x + self.n_near > self.k - 0.5)[self.row]
 
     def limits(self, owner: np.ndarray) -> list[tuple[csr_array, csr_array, np.ndarray]]:
         """Return constraints: one matrix times the fibers is at most another times the candidates plus a number.
@@ -80,7 +80,7 @@ class SpreadRows:
         unit = csr_array((np.ones(n), (np.searchsorted(used, self.row), np.arange(n))), shape=(len(used), n))
         every = csr_array(self.group @ unit.T)  # the targets of each positioner
         union = csr_array(every @ self.near[used]).tocoo()
-        first = self.own[self.group.indices[self.group.indptr[:-1]]]  # a candidate of each positioner
+        first = self.owner[self.group.indices[self.group.indptr[:-1]]]  # a candidate of each positioner
         mine = owner[first.indices[first.indptr[:-1]]]
         # the other candidates of a positioner are not in use if one of its science fibers is in use
         kept = (owner[union.col] != mine[union.row]) | np.isin(union.col, self.science)
@@ -89,7 +89,7 @@ class SpreadRows:
         alone = np.flatnonzero(~self.is_fixed)
         pick = csr_array((np.ones(len(alone)), (np.arange(len(alone)), alone)), shape=(len(alone), n))
         return [
-            (pick, self.own[alone], np.zeros(len(alone))),
+            (pick, self.owner[alone], np.zeros(len(alone))),
             (self.k * unit, self.near[used], self.n_near[used]),
             (self.k * self.group, union, most),
         ]
@@ -98,7 +98,7 @@ class SpreadRows:
 class Program:
     """An integer program whose solutions are plans that use candidates from ``rows``, which are sorted by positioner.
 
-    ``others`` are the candidates that positioners outside the program use; these candidates also count toward the
+    ``outside`` are the candidates that positioners outside the program use; these candidates also count toward the
     requirements. ``edges`` are the pairs of candidates in ``rows`` that collide, shape (2, m). The variable of a
     candidate is 1 if the candidate is in use, and 0 otherwise. The variable of a requirement is the number of fibers
     that are missing for its minimum, and that of a rule on the distribution of fibers is the number of science fibers
@@ -108,14 +108,14 @@ class Program:
     """
 
     def __init__(
-        self, candidates: Candidates, rows: np.ndarray, others: np.ndarray, edges: np.ndarray, deadline: float = np.inf
+        self, candidates: Candidates, rows: np.ndarray, outside: np.ndarray, edges: np.ndarray, deadline: float = np.inf
     ):
         self.problem, self.candidates, self.candidate = candidates.problem, candidates, rows
         options = candidates.options
-        self.target, self.own = options.target[rows], options.own[rows]
-        self.index = np.full(len(options.own), -1)
+        self.target, self.owner = options.target[rows], options.owner[rows]
+        self.index = np.full(len(options.owner), -1)
         self.index[rows] = np.arange(len(rows))
-        self.spreads = [SpreadRows(candidates, one, rows, others) for one in candidates.spreads]
+        self.spreads = [SpreadRows(candidates, spread, rows, outside) for spread in candidates.spreads]
         self.short = len(rows) + np.arange(len(self.problem.groups) + len(self.spreads))
         self.first = len(rows) + len(self.short) + np.cumsum([0, *map(len, self.spreads)])
         self.n = int(self.first[-1])
@@ -125,7 +125,7 @@ class Program:
         self._positioners()
         self._cliques(edges, deadline)
         self._targets()
-        self._requirements(others)
+        self._requirements(outside)
         self._distributions()
         self.rows = vstack(self._parts, format="csr"), np.concatenate(self._low), np.concatenate(self._high)
         self.matrix, self.low, self.high = self._objectives()
@@ -134,8 +134,8 @@ class Program:
         """Return the variables of a plan, including the number of missing fibers for each requirement."""
         x = np.zeros(self.n)
         x[self.index[chosen]] = 1.0
-        for first, one in zip(self.first, self.spreads, strict=False):
-            x[first : first + len(one)] = one.values(x)
+        for first, spread in zip(self.first, self.spreads, strict=False):
+            x[first : first + len(spread)] = spread.values(x)
         matrix, low, _ = self.rows
         lack = np.maximum(low - matrix @ x, 0.0)
         x[self.short] = np.ceil(matrix[:, self.short].T @ np.where(np.isfinite(lack), lack, 0.0) - ROUNDING)
@@ -195,7 +195,7 @@ class Program:
 
     def _positioners(self):
         """Add constraints: exactly one candidate of each positioner is used."""
-        _, row = np.unique(self.own, return_inverse=True)
+        _, row = np.unique(self.owner, return_inverse=True)
         self._add(row, np.arange(len(self.candidate)), 1.0, np.ones(int(row.max(initial=-1)) + 1))
 
     def _targets(self):
@@ -213,35 +213,35 @@ class Program:
             n = len(indptr) - 1
             self._add(np.repeat(np.arange(n), np.diff(indptr)), self.index[column], -np.inf, np.ones(n))
 
-    def _requirements(self, others):
+    def _requirements(self, outside):
         """Add constraints for the requirements: the plan may miss a minimum, but must not exceed a maximum."""
         held = self.candidates.held[:, self.candidate]
-        already = self.candidates.held_sparse @ np.bincount(others, minlength=len(self.candidates))
+        already = self.candidates.held_sparse @ np.bincount(outside, minlength=len(self.candidates))
         columns, low, high = [np.empty(0, dtype=np.int64)], [], []
         for g, group in enumerate(self.problem.groups):
-            column, one = np.flatnonzero(held[g]), group.requirement
-            if one.minimum > 0:
+            column, requirement = np.flatnonzero(held[g]), group.requirement
+            if requirement.minimum > 0:
                 columns.append(np.append(column, self.short[g]))
-                low.append(max(one.minimum - already[g], 0))
+                low.append(max(requirement.minimum - already[g], 0))
                 high.append(np.inf)
-            if one.maximum is not None:
+            if requirement.maximum is not None:
                 columns.append(column)
                 low.append(-np.inf)
-                high.append(max(one.maximum - already[g], 0))
+                high.append(max(requirement.maximum - already[g], 0))
         row = np.repeat(np.arange(len(columns)) - 1, [len(column) for column in columns])
         self._add(row, np.concatenate(columns), np.array(low), np.array(high, dtype=float))
 
     def _distributions(self):
         """Add constraints: science fibers have neighbors only if they are in use and enough neighbors are in use."""
-        for short, first, one in zip(self.short[len(self.problem.groups) :], self.first, self.spreads, strict=False):
-            z = first + np.arange(len(one))
-            for fibers, candidates, most in one.limits(self.own) if len(one) else []:
+        for short, first, spread in zip(self.short[len(self.problem.groups) :], self.first, self.spreads, strict=False):
+            z = first + np.arange(len(spread))
+            for fibers, candidates, most in spread.limits(self.owner) if len(spread) else []:
                 fibers, candidates = fibers.tocoo(), candidates.tocoo()
                 row, column = np.append(fibers.row, candidates.row), np.append(z[fibers.col], candidates.col)
                 self._add(row, column, -np.inf, most.astype(float), np.append(fibers.data, -candidates.data))
-            column = np.concatenate([z, one.always, one.science, [short]])
-            value = np.repeat([1.0, 1.0, -one.fraction, 1.0], [len(z), len(one.always), len(one.science), 1])
-            low = one.fraction * one.n_fixed - one.n_served - ROUNDING
+            column = np.concatenate([z, spread.always, spread.science, [short]])
+            value = np.repeat([1.0, 1.0, -spread.fraction, 1.0], [len(z), len(spread.always), len(spread.science), 1])
+            low = spread.fraction * spread.n_fixed - spread.n_served - ROUNDING
             self._add(np.zeros(len(column), int), column, low, np.array([np.inf]), value)
 
     def _objectives(self):
@@ -254,7 +254,7 @@ class Program:
         if problem.any_required:
             columns[0] = np.flatnonzero(np.append(problem.is_required, False)[self.target])
         low, worth = np.zeros(len(columns)), np.ones(len(columns))
-        high = [min(len(np.unique(self.own[used])), len(np.unique(self.target[used]))) for used in columns]
+        high = [min(len(np.unique(self.owner[used])), len(np.unique(self.target[used]))) for used in columns]
         if problem.any_goals:
             k = int(problem.any_required)
             columns[k], worth[k], high[k] = self.short, -1.0, 0

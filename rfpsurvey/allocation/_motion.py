@@ -26,60 +26,61 @@ class Motion:
         if not collision.stays_folded(columns, parked).any():
             return
         indptr, target, r2 = problem.pairs.by_positioner
-        own = np.repeat(np.arange(len(problem.focal_plane)), np.diff(indptr))
-        target = target[np.lexsort((r2, own))]  # the directions must not depend on the order of the targets
-        side = columns.sides(problem.xy[target], own, problem.fiber_of(own, target))
-        moves = self.moves(own, target, side)
+        owner = np.repeat(np.arange(len(problem.focal_plane)), np.diff(indptr))
+        target = target[np.lexsort((r2, owner))]  # the directions must not depend on the order of the targets
+        side = columns.sides(problem.xy[target], owner, problem.fiber_of(owner, target))
+        moves = self.moves(owner, target, side)
         self._idle = collision.turn_idle_arms(columns, self._idle, self._turning, indptr, moves, self.same_speed)
 
-    def moves(self, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None) -> Moves:
+    def moves(self, owner: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None) -> Moves:
         """Return the motion of each candidate; ``idle`` contains the indices of the idle arms of all positioners."""
-        points, real = np.full((len(own), 2), np.nan), np.ones(len(own), dtype=bool)
+        points, real = np.full((len(owner), 2), np.nan), np.ones(len(owner), dtype=bool)
         if idle is not None:
             real[idle] = False
         points[real] = self.problem.xy[target[real]]
-        columns, fiber = self.problem.focal_plane.arrays, self.problem.fiber_of(own, target)
-        found = collision.solve_moves(columns, own, fiber, points, side)
-        return found if idle is None else collision.joined(found, idle, self._idle, np.arange(len(idle)))
+        columns, fiber = self.problem.focal_plane.arrays, self.problem.fiber_of(owner, target)
+        moves = collision.solve_moves(columns, owner, fiber, points, side)
+        return moves if idle is None else collision.joined(moves, idle, self._idle, np.arange(len(idle)))
 
-    def obstacle_hits(self, own: np.ndarray, moves: Moves) -> np.ndarray:
-        """Return the pairs (arm, obstacle) that collide while arms unfold; ``own`` is the positioner of each arm."""
+    def obstacle_hits(self, owner: np.ndarray, moves: Moves) -> np.ndarray:
+        """Return the pairs (arm, obstacle) that collide while arms unfold; ``owner`` is the positioner of each arm."""
         plane = self.problem.focal_plane
-        test = collision.obstacle_tests(plane.arrays.obstacle_pairs, own)
-        return test[collision.unfolding_obstacles(plane, moves, own, test)]
+        test = collision.obstacle_tests(plane.arrays.obstacle_pairs, owner)
+        return test[collision.unfolding_obstacles(plane, moves, owner, test)]
 
-    def turns(self, own: np.ndarray, moves: Moves) -> np.ndarray:
-        """Return whether each folded arm can turn to its direction; ``own``, the positioner of each arm, is sorted."""
-        center = self.problem.focal_plane.arrays.xy[own]
-        return self._turning.allows(own, np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0]))
+    def turns(self, owner: np.ndarray, moves: Moves) -> np.ndarray:
+        """Return whether each folded arm can turn to its direction; the positioners ``owner`` are sorted."""
+        center = self.problem.focal_plane.arrays.xy[owner]
+        return self._turning.allows(owner, np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0]))
 
-    def allowed(self, own: np.ndarray, target: np.ndarray, side: np.ndarray) -> np.ndarray:
+    def allowed(self, owner: np.ndarray, target: np.ndarray, side: np.ndarray) -> np.ndarray:
         """Return whether the arm of each candidate can turn and unfold without a collision with obstacles.
 
         The candidates must be sorted by positioner; idle arms are allowed.
         """
         plane = self.problem.focal_plane
-        near, allowed = np.zeros(len(plane), dtype=bool), np.ones(len(own), dtype=bool)
+        near, allowed = np.zeros(len(plane), dtype=bool), np.ones(len(owner), dtype=bool)
         near[plane.arrays.obstacle_pairs[:, 0]] = near[self._turning.examined] = True
-        rows = np.flatnonzero(near[own] & (target >= 0))
+        rows = np.flatnonzero(near[owner] & (target >= 0))
         if len(rows):
-            moves = self.moves(own[rows], target[rows], side[rows])
-            allowed[rows] = self.turns(own[rows], moves)
-            allowed[rows[self.obstacle_hits(own[rows], moves)[:, 0]]] = False
+            moves = self.moves(owner[rows], target[rows], side[rows])
+            allowed[rows] = self.turns(owner[rows], moves)
+            allowed[rows[self.obstacle_hits(owner[rows], moves)[:, 0]]] = False
         return allowed
 
     def reachable(self, reach: Reach) -> Reach:
         """Return the pairs (positioner, target) for which at least one pose is `allowed`."""
         columns, n = self.problem.focal_plane.arrays, len(reach.owner)
         order = np.argsort(reach.owner, kind="stable")
-        own, target = reach.owner[order], reach.target[order]
-        fiber, points = self.problem.fiber_of(own, target), self.problem.xy[target]
+        owner, target = reach.owner[order], reach.target[order]
+        fiber, points = self.problem.fiber_of(owner, target), self.problem.xy[target]
         if columns.plane.positioner.handedness == "both":
             free = np.zeros(n, dtype=bool)
             for side in (1.0, -1.0):
-                free |= columns.poses_allowed(own, points, side, fiber) & self.allowed(own, target, np.full(n, side))
+                allowed = self.allowed(owner, target, np.full(n, side))
+                free |= allowed & columns.poses_allowed(owner, points, side, fiber)
         else:
-            free = self.allowed(own, target, columns.sides(points, own, fiber))
+            free = self.allowed(owner, target, columns.sides(points, owner, fiber))
         keep = np.empty(n, dtype=bool)
         keep[order] = free
         return reach if keep.all() else reach.where(keep)

@@ -62,20 +62,20 @@ def offset_of(problem: AllocationProblem) -> int:
     return len(problem.level_names) - len(problem.classes) - (not problem.science.all())
 
 
-def matching_limits(problem: AllocationProblem, everything: Candidates | None) -> np.ndarray:
+def matching_limits(problem: AllocationProblem, candidates: Candidates | None) -> np.ndarray:
     """Return upper limits of the objectives from the best matching, in which arms may collide.
 
     The limit of a class applies to the number of targets of this class and of all earlier classes: no plan contains
-    more of these targets than the matching. If ``everything`` is None, or if there are required targets, the limits are
+    more of these targets than the matching. If ``candidates`` is None, or if there are required targets, the limits are
     the numbers of targets in reach.
     """
     n, n_classes = problem.pairs.n_positioners, len(problem.classes)
-    if everything is None or problem.any_required:  # the matching did not assign targets by their class alone
+    if candidates is None or problem.any_required:  # the matching did not assign targets by their class alone
         target = np.flatnonzero(np.diff(problem.pairs.indptr) > 0)
         if problem.watched is not None:
             target = np.union1d(target, problem.watched[problem.watched >= 0])
     else:
-        target = match(everything)
+        target = match(candidates)
         target = target[target >= 0]
     most = np.minimum(np.cumsum(np.bincount(problem.rank[target], minlength=n_classes + 1)), n).astype(float)
     limits = most[problem._objectives.stop - 1]

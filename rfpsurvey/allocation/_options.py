@@ -192,7 +192,7 @@ class AllocationOptions(Settings):
         (),
         convert=as_circles,
         to_record=lambda circles: _texts(map(circle_text, circles)),
-        from_record=lambda texts: [Region.parse(one) for one in listed_in(texts)],
+        from_record=lambda texts: [Region.parse(text) for text in listed_in(texts)],
         by_record=True,
     )
     subpriority: int | str | None = option(
@@ -217,14 +217,14 @@ class AllocationOptions(Settings):
             Required: ("required", "ids", as_required),
             Requirement: ("requirements", "counts", as_requirements),
         }
-        others = []
-        for one in self.constraints:
-            name, part, convert = short.get(type(one), ("", "", None))
+        kept = []
+        for constraint in self.constraints:
+            name, part, convert = short.get(type(constraint), ("", "", None))
             if name and not (name == "requirements" and self._of_instrument):
-                object.__setattr__(self, name, convert((*getattr(self, name), *getattr(one, part))))
+                object.__setattr__(self, name, convert((*getattr(self, name), *getattr(constraint, part))))
             else:
-                others.append(one)
-        object.__setattr__(self, "constraints", tuple(others))
+                kept.append(constraint)
+        object.__setattr__(self, "constraints", tuple(kept))
 
     @property
     def _of_instrument(self) -> bool:
@@ -240,19 +240,19 @@ class AllocationOptions(Settings):
     @cached_property
     def counts(self) -> tuple[Requirement, ...]:
         """The requirements on numbers of targets of all constraints."""
-        return tuple(dict.fromkeys(count for one in self.all_constraints for count in one.counts))
+        return tuple(dict.fromkeys(count for constraint in self.all_constraints for count in constraint.counts))
 
     @cached_property
     def distributions(self) -> tuple[Distribution, ...]:
         """The rules on the distribution of fibers that the allocator follows; none if it only checks them."""
         if not self.constraints or self.method.distribution == "no":
             return ()
-        return tuple(dict.fromkeys(rule for one in self.constraints for rule in one.distributions))
+        return tuple(dict.fromkeys(rule for constraint in self.constraints for rule in constraint.distributions))
 
     @property
     def needs(self) -> tuple[Requirement | Distribution, ...]:
         """The requirements with a minimum, and the rules that the allocator follows, which need targets of a kind."""
-        return (*(one for one in self.counts if one.minimum), *self.distributions)
+        return (*(count for count in self.counts if count.minimum), *self.distributions)
 
     @cached_property
     def motion_law(self) -> str:
@@ -262,7 +262,7 @@ class AllocationOptions(Settings):
     @cached_property
     def required_ids(self) -> tuple:
         """Identifiers of the targets that take precedence according to any constraint."""
-        return tuple(dict.fromkeys(name for one in self.all_constraints for name in one.required_ids))
+        return tuple(dict.fromkeys(name for constraint in self.all_constraints for name in constraint.required_ids))
 
     def without(self, name: str) -> "AllocationOptions":
         """Return the options without the constraints of a kind.
@@ -278,7 +278,7 @@ class AllocationOptions(Settings):
             The options, in which the attribute ``name`` is empty.
         """
         kept = {} if name == "distributions" else {"requirements": ()}
-        return replace(self, constraints=[one for one in self.constraints if not getattr(one, name)], **kept)
+        return replace(self, constraints=[c for c in self.constraints if not getattr(c, name)], **kept)
 
     def check_for_fields(self, what: str) -> None:
         """Raise an error if ``start`` is an allocation, because an allocation is valid for a single field only.
@@ -342,8 +342,8 @@ class AllocationOptions(Settings):
             raise InputError(f"{given} can be used only with an instrument; {remedy}")
         if instrument is None and self.rules is not None:
             raise InputError(f"rules={self.rules!r} can be used only with an instrument; use plan_tile")
-        for one in self.all_constraints if instrument is None else ():
-            one.for_instrument(None)  # raises an error if a constraint requires a catalog
+        for constraint in self.all_constraints if instrument is None else ():
+            constraint.for_instrument(None)  # raises an error if a constraint requires a catalog
         if instrument is None and isinstance(self.subpriority, str):
             raise InputError(
                 f"a column of subpriorities can be used only with a catalog, got {self.subpriority!r}; use "
@@ -354,18 +354,18 @@ class AllocationOptions(Settings):
             return options.for_instrument(instrument)
         if self._of_instrument:
             requirements = as_requirements(instrument.requirements)
-        constraints = tuple(one.for_instrument(instrument) for one in self.constraints)
+        constraints = tuple(constraint.for_instrument(instrument) for constraint in self.constraints)
         unused = {name: getattr(AllocationOptions, name) for name in ONLY_SOME if not self.method.uses(name)}
-        found = replace(self, requirements=requirements, constraints=constraints, **unused)
+        completed = replace(self, requirements=requirements, constraints=constraints, **unused)
         if instrument is not None:
-            check_counts(found.counts, instrument.focal_plane)
-        if separation is not None and not any(one.what == "sky" for one in found.needs):
+            check_counts(completed.counts, instrument.focal_plane)
+        if separation is not None and not any(need.what == "sky" for need in completed.needs):
             remedy = "add a requirement such as 'sky=20/spectrograph'"
             warn_no_effect("sky_separation", f"because no requirement counts sky positions; {remedy}")
             separation = None
         elif separation is not None and _is_angle(separation):
             separation = (separation * instrument.plate_scale).to(u.mm)
-        return replace(found, sky_separation=separation)
+        return replace(completed, sky_separation=separation)
 
     @property
     def breaks_ties(self) -> bool:
@@ -375,11 +375,11 @@ class AllocationOptions(Settings):
     @property
     def record(self) -> dict:
         """The options as text and numbers, in the form in which files store the options."""
-        stars = [one.content for one in self.constraints if one.content]
-        found = super().record | ({"stars": stars} if stars else {})
-        found |= {"tie_seed": TIE_SEED} if self.breaks_ties else {}
-        found = {name: found[name] for name in self._order if name in found} | found
-        return found if self.moves == self._moves_without_record else found | {"moves": self.moves}
+        stars = [constraint.content for constraint in self.constraints if constraint.content]
+        record = super().record | ({"stars": stars} if stars else {})
+        record |= {"tie_seed": TIE_SEED} if self.breaks_ties else {}
+        record = {name: record[name] for name in self._order if name in record} | record
+        return record if self.moves == self._moves_without_record else record | {"moves": self.moves}
 
     @property
     def _moves_without_record(self) -> str:

@@ -51,25 +51,25 @@ def known_allocator(allocator: object) -> object:
 
 def find_improving(given: str | Callable, start: object, moves: str) -> Allocator:
     """Return an allocator; if it improves the plan of another allocator, it also has the properties of the other."""
-    found = find_allocator(given)
-    if found.improves and moves == "exchange":  # plans of version 0.3 depend on the order of targets
-        found = replace(found, breaks_ties=False)
-    if found.keeps_plan and is_plan(start):
-        return replace(found, options=(*found.options, "start"))
-    if not (found.improves and isinstance(start, str)):
-        return found
-    other = find_allocator(start)
-    options = None if other.options is None else {*found.options, *other.options}
-    return replace(found, options=options, breaks_ties=found.breaks_ties or other.breaks_ties)
+    allocator = find_allocator(given)
+    if allocator.improves and moves == "exchange":  # plans of version 0.3 depend on the order of targets
+        allocator = replace(allocator, breaks_ties=False)
+    if allocator.keeps_plan and is_plan(start):
+        return replace(allocator, options=(*allocator.options, "start"))
+    if not (allocator.improves and isinstance(start, str)):
+        return allocator
+    starter = find_allocator(start)
+    options = None if starter.options is None else {*allocator.options, *starter.options}
+    return replace(allocator, options=options, breaks_ties=allocator.breaks_ties or starter.breaks_ties)
 
 
 def packages(options) -> dict[str, str]:
     """Return the names and versions of the packages that provide allocators or constraints of the options."""
-    found, uses_start = named_plugins(options.constraints), find_allocator(options.allocator).uses("start")
+    versions, uses_start = named_plugins(options.constraints), find_allocator(options.allocator).uses("start")
     for name in (options.allocator, options.start) if uses_start else (options.allocator,):
         if isinstance(name, str) and name not in METHODS:
-            found.update(find_plugin(GROUP, name, METHODS, "allocator").software)
-    return found
+            versions.update(find_plugin(GROUP, name, METHODS, "allocator").software)
+    return versions
 
 
 def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
@@ -77,8 +77,8 @@ def _ask(plugin: Plugin, problem: AllocationProblem) -> AllocationAnswer:
     with plugin.answering():
         answer = plugin.value(problem)
         if not isinstance(answer, AllocationAnswer):
-            both = isinstance(answer, tuple) and len(answer) == 2
-            answer = AllocationAnswer(*answer) if both else AllocationAnswer(answer)
+            is_pair = isinstance(answer, tuple) and len(answer) == 2
+            answer = AllocationAnswer(*answer) if is_pair else AllocationAnswer(answer)
         target_of, elbows = _checked(problem, answer.target_of_positioner), answer.handedness
         if elbows is not None:
             elbows = _elbows(problem, target_of, elbows)
@@ -104,8 +104,9 @@ def _check_claims(problem: AllocationProblem, target_of: np.ndarray, answer: All
         indptr, queue = (np.asarray(column) for column in answer.queues)
         n, pairs = len(target_of), problem.pairs
         fits = indptr.shape == (n + 1,) and indptr[0] == 0 and indptr[-1] == len(queue) and (np.diff(indptr) >= 0).all()
-        own = np.repeat(np.arange(n), np.diff(indptr)) if fits else None
-        if not fits or not np.isin(queue * n + own, pairs.target * n + pairs.owner).all():
+        owner = np.repeat(np.arange(n), np.diff(indptr)) if fits else None
+        # pairs are compared as single numbers
+        if not fits or not np.isin(queue * n + owner, pairs.target * n + pairs.owner).all():
             raise InputError(
                 f"queues must contain indptr, shape ({n + 1},), and the rows of targets that the positioners reach"
             )
@@ -127,8 +128,8 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
     target_of = target_of.astype(np.int64)
     if problem.watched is not None:  # answers based on `start` contain the sky positions that stuck fibers observe
         target_of[(problem.watched >= 0) & (target_of == problem.watched)] = -1
-    own = np.flatnonzero(target_of >= 0)
-    used, counts = np.unique(target_of[own], return_counts=True)
+    owner = np.flatnonzero(target_of >= 0)
+    used, counts = np.unique(target_of[owner], return_counts=True)
     if (counts > 1).any():
         twice = used[counts > 1][0]
         who = np.flatnonzero(target_of == twice)
@@ -136,9 +137,9 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
             f"target {twice} must have at most one positioner, got the positioners {who[0]} and {who[1]} (rows)"
         )
     pairs = problem.pairs
-    able = np.isin(target_of[own] * n + own, pairs.target * n + pairs.owner)
+    able = np.isin(target_of[owner] * n + owner, pairs.target * n + pairs.owner)
     if not able.all():
-        first = own[~able][0]
+        first = owner[~able][0]
         idle = not problem.focal_plane.arrays.usable[first]
         why = (
             "the positioner is disabled or stuck"
@@ -151,23 +152,23 @@ def _checked(problem: AllocationProblem, given: object) -> np.ndarray:
 
 def _elbows(problem: AllocationProblem, target_of: np.ndarray, elbows: object) -> np.ndarray:
     """Return the elbows of all arms; raise an error if a positioner cannot reach its target with the given elbow."""
-    plane, own = problem.focal_plane, np.flatnonzero(target_of >= 0)
+    plane, owner = problem.focal_plane, np.flatnonzero(target_of >= 0)
     names = _plain(elbows)
-    if names.shape != target_of.shape or not np.isin(names[own], ELBOWS).all():
+    if names.shape != target_of.shape or not np.isin(names[owner], ELBOWS).all():
         raise InputError(
             f"elbows must be 'right' or 'left' for each positioner with a target, shape ({len(plane)},), got {elbows!r}"
         )
     tips = np.vstack([problem.xy, [np.nan, np.nan]])[target_of]
     fiber = problem.fiber_of(np.arange(len(plane)), target_of)
-    side, both = plane.arrays.sides(tips, fiber=fiber), plane.positioner.handedness == "both"
-    side[own] = np.where(names[own] == "left", -1.0, 1.0)
-    allowed = np.full(len(own), both) | (names[own] == plane.positioner.handedness)
-    for one in (1.0, -1.0):
-        rows = np.flatnonzero(allowed & (side[own] == one))
-        points = problem.xy[target_of[own[rows]]]
-        allowed[rows] = plane.arrays.poses_allowed(own[rows], points, one, fiber[own[rows]])
+    side, both_elbows = plane.arrays.sides(tips, fiber=fiber), plane.positioner.handedness == "both"
+    side[owner] = np.where(names[owner] == "left", -1.0, 1.0)
+    allowed = np.full(len(owner), both_elbows) | (names[owner] == plane.positioner.handedness)
+    for sign in (1.0, -1.0):
+        rows = np.flatnonzero(allowed & (side[owner] == sign))
+        points = problem.xy[target_of[owner[rows]]]
+        allowed[rows] = plane.arrays.poses_allowed(owner[rows], points, sign, fiber[owner[rows]])
     if not allowed.all():
-        first = own[~allowed][0]
+        first = owner[~allowed][0]
         raise InputError(f"positioner {first} (row) cannot have the elbow {str(names[first])!r} at its target")
     return elbow_names(side)
 

@@ -12,18 +12,18 @@ from rfpsurvey.focal_plane import Reach
 
 
 def place_segments(
-    problem: AllocationProblem, own: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
+    problem: AllocationProblem, owner: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None
 ) -> np.ndarray:
     """Return the segments, shape (4, n), that represent the arms of positioners in tests for collisions.
 
-    Each fiber is at its target. ``own``, ``target`` and ``side`` contain the row of the positioner, the row of the
+    Each fiber is at its target. ``owner``, ``target`` and ``side`` contain the row of the positioner, the row of the
     target, and the elbow (+1: right, -1: left) for each segment. ``idle`` contains the indices of the segments of idle
     arms, one for each positioner of the focal plane; the targets of these segments are ignored.
     """
     columns = problem.focal_plane.arrays
     # the row -1 of idle arms is clipped to 0
-    points = problem.xy.take(target, axis=0, mode="clip") if len(problem.xy) else np.full((len(own), 2), np.nan)
-    segments = columns.segments_of(own, problem.fiber_of(own, target), points, side)
+    points = problem.xy.take(target, axis=0, mode="clip") if len(problem.xy) else np.full((len(owner), 2), np.nan)
+    segments = columns.segments_of(owner, problem.fiber_of(owner, target), points, side)
     if idle is not None:
         segments[:, idle] = columns.idle_segments(problem.parked_obstacles)
     return segments
@@ -40,10 +40,8 @@ class Preselection(NamedTuple):
     """The reachable pairs (positioner, target) that remain after the preselection."""
 
     reach: Reach
-    code: np.ndarray
-    """Code of each target; targets that count toward the same requirements have the same code."""
-    shortened: np.ndarray
-    """Whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)."""
+    code: np.ndarray  # code of each target; targets that count toward the same requirements have the same code
+    shortened: np.ndarray  # whether targets were omitted, for each positioner and code, shape (n_positioners, n_codes)
     n_left_out: int
 
 
@@ -98,7 +96,7 @@ def _select(problem, reach, most, code, n_codes, n_spread, keep_target) -> Prese
     return Preselection(reach.where(keep), code, shortened.reshape(-1, n_codes), len(keep) - n_kept)
 
 
-def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray, rank: np.ndarray, n_rivals, n_elbows):
+def replaceable(preselection: Preselection, owner, target, rank, n_rivals, n_elbows) -> np.ndarray:
     """Mark the kept candidates that can replace omitted candidates in every plan.
 
     An omitted target is no better than the kept targets of its positioner and code. At most ``n_rivals`` other
@@ -125,17 +123,17 @@ def replaceable(preselection: Preselection, own: np.ndarray, target: np.ndarray,
     shortened = preselection.shortened
     n_codes = shortened.shape[1]
     real = np.flatnonzero(target >= 0)
-    cell = own[real] * n_codes + preselection.code[target[real]]
+    cell = owner[real] * n_codes + preselection.code[target[real]]
     real = real[shortened.ravel()[cell]]
-    cell = own[real] * n_codes + preselection.code[target[real]]
+    cell = owner[real] * n_codes + preselection.code[target[real]]
     order = np.lexsort((rank[real], cell))
     real, cell = real[order], cell[order]
     end = np.searchsorted(cell, np.arange(shortened.size), side="right")
     begin = np.searchsorted(cell, np.arange(shortened.size))
     first = np.maximum(end - n_elbows * (np.repeat(n_rivals, n_codes) + 1), begin)
-    found = np.zeros(len(own), dtype=bool)
-    found[real] = rank[real] >= rank[real[np.minimum(first, len(real) - 1)]][cell]
-    return found
+    is_replaceable = np.zeros(len(owner), dtype=bool)
+    is_replaceable[real] = rank[real] >= rank[real[np.minimum(first, len(real) - 1)]][cell]
+    return is_replaceable
 
 
 def _codes(problem):
@@ -150,7 +148,7 @@ def _codes(problem):
     kinds = {kind for rule in problem.distributions for kind in ("science", rule.what)}
     columns += [has_role(problem.kind, kind) | (problem.category == kind) for kind in sorted(kinds)]
     plane = problem.focal_plane
-    several = plane.spectrograph.ndim > 1 and any(one.per == "spectrograph" for one in problem.requirements)
+    several = plane.spectrograph.ndim > 1 and any(need.per == "spectrograph" for need in problem.requirements)
     if problem.several_fiber_types and several:  # the spectrograph depends on the fiber type
         columns.append(np.unique(problem.fiber_type, return_inverse=True)[1].reshape(-1))
     code, n = np.zeros(len(problem.xy), dtype=np.int64), 1
@@ -174,14 +172,14 @@ def _without_obstacles(problem, reach, crowded):
     target = reach.target[rows]
     for begin in range(0, len(rows), BATCH):
         part, points = rows[begin : begin + BATCH], problem.xy[target[begin : begin + BATCH]]
-        own, free = reach.owner[part], np.zeros(len(part), dtype=bool)
-        test = obstacle_tests(pairs, own)
-        both = plane.positioner.handedness == "both"
-        fiber = problem.fiber_of(own, target[begin : begin + BATCH])
-        for side in (1.0, -1.0) if both else (plane.arrays.sides(points[:1], own[:1])[0],):
+        owner, free = reach.owner[part], np.zeros(len(part), dtype=bool)
+        test = obstacle_tests(pairs, owner)
+        both_elbows = plane.positioner.handedness == "both"
+        fiber = problem.fiber_of(owner, target[begin : begin + BATCH])
+        for side in (1.0, -1.0) if both_elbows else (plane.arrays.sides(points[:1], owner[:1])[0],):
             hit = np.zeros(len(part), dtype=bool)
-            segments = place_segments(problem, own, target[begin : begin + BATCH], np.full(len(part), side))
-            hit[touching(plane, segments, test, own)[0][:, 0]] = True
-            free |= ~hit & (plane.arrays.poses_allowed(own, points, side, fiber) if both else True)
+            segments = place_segments(problem, owner, target[begin : begin + BATCH], np.full(len(part), side))
+            hit[touching(plane, segments, test, owner)[0][:, 0]] = True
+            free |= ~hit & (plane.arrays.poses_allowed(owner, points, side, fiber) if both_elbows else True)
         touched[part] = ~free
     return reach.where(~touched)

@@ -31,7 +31,7 @@ class Prices:
     def __init__(self, candidates: Candidates, deadline: float):
         options = candidates.options
         self.indptr, self.column = cover(options, np.arange(len(candidates)), candidates.pairs, deadline)
-        self.start, self.own = options.start, options.own
+        self.start, self.owner = options.start, options.owner
         shape = len(self.indptr) - 1, len(candidates)
         self.matrix = csr_array((np.ones(len(self.column)), self.column, self.indptr), shape=shape)
         self.price, self.most = np.zeros(shape[0]), np.ones(shape[0])
@@ -69,7 +69,7 @@ class Prices:
                     end = min(begin + BATCH, n)
                     ends = (begin, end, 1) if sweep % 2 == 0 else (n - begin - 1, n - end - 1, -1)
                     kernels.adjust_prices(
-                        self.start, self.own, self.indptr, self.column, value, self.price, limits, width, *ends
+                        self.start, self.owner, self.indptr, self.column, value, self.price, limits, width, *ends
                     )
                 now = self.bound(weights)
                 if now < best:
@@ -98,9 +98,9 @@ def weights_of(problem: AllocationProblem, options) -> list:
     list of (ndarray of float or None)
         Weights of the candidates: one array, or None, for each objective.
     """
-    found = [(options.rank < stop).astype(float) for stop in problem._objectives.stop]
+    weights = [(options.rank < stop).astype(float) for stop in problem._objectives.stop]
     if problem.any_required:
-        found[0] = np.append(problem.is_required, False)[options.target].astype(float)
+        weights[0] = np.append(problem.is_required, False)[options.target].astype(float)
     if problem.groups:
-        found[int(problem.any_required)] = None
-    return found
+        weights[int(problem.any_required)] = None
+    return weights

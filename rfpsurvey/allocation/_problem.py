@@ -294,15 +294,15 @@ class AllocationProblem(CountedTargets):
         list of Shortfall
             The requirements that are not met, with the required number and the actual number of targets.
         """
-        found, used = super().shortfalls(target_of), target_of[target_of >= 0]
+        shortfalls, used = super().shortfalls(target_of), target_of[target_of >= 0]
         if self.any_required and (n := int(self.is_required[used].sum())) < self.is_required.sum():
             possible = int((self.is_required & (np.diff(self.pairs.indptr) > 0)).sum())
-            found.append(Shortfall(None, None, int(self.is_required.sum()), n, possible))
-        return found
+            shortfalls.append(Shortfall(None, None, int(self.is_required.sum()), n, possible))
+        return shortfalls
 
     def _prospects(self, group: Group, n: int, limit: int) -> tuple[int, str]:
-        own, target = self.pairs.owner, self.pairs.target
-        possible = len(np.unique(target[group.holds(target, self.spectrograph_of(own, target), own)]))
+        owner, target = self.pairs.owner, self.pairs.target
+        possible = len(np.unique(target[group.holds(target, self.spectrograph_of(owner, target), owner)]))
         if self.watched is not None:
             stuck = np.flatnonzero(self.watched >= 0)
             place = self.spectrograph_of(stuck, self.watched[stuck])

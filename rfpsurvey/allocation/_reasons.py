@@ -137,7 +137,7 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     n_free = np.bincount(reach.owner, minlength=n)
     owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach, types, law)
     possible = np.zeros(n, dtype=bool)
-    possible[owner[[not others for others in blocked_by]]] = True
+    possible[owner[[not blockers for blockers in blocked_by]]] = True
     reason = np.full(n, IdleReason.ALL_FREE_TARGETS_COLLIDE)
     reason[n_free == 0] = IdleReason.ALL_TARGETS_ARE_ASSIGNED
     reason[n_in_reach == 0] = IdleReason.NO_TARGET_IN_REACH
@@ -162,28 +162,28 @@ def _attempts(plane, allocation, arms, reach, types, law):
             parked_obstacles=allocation.parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
         ),
     )
-    start, own, target, side, _ = list_candidates(problem, reach, both=True)
+    start, owner, target, side, _ = list_candidates(problem, reach, both_elbows=True)
     now = start[1:] - 1  # the last candidate of each positioner stands for its arm in the plan
-    segments = place_segments(problem, own, target, side, now)
+    segments = place_segments(problem, owner, target, side, now)
     segments[:, now] = arms.segments.T
-    is_moved = np.ones(len(own), dtype=bool)
+    is_moved = np.ones(len(owner), dtype=bool)
     is_moved[now] = False
-    blocked_by: list[list[int]] = [[] for _ in own]
+    blocked_by: list[list[int]] = [[] for _ in owner]
     moves, hits = None, obstacle_hits(plane, start, segments)
     if law:
         motion, same = Motion(problem), law == "same_speed"
         planned = plan_moves(plane, arms, law, allocation.parked_obstacles)
-        moves = joined(motion.moves(own, target, side, now), now, planned, np.arange(len(plane)))
-        hits = np.concatenate([hits, motion.obstacle_hits(own, moves)])
-        for k in np.flatnonzero(~motion.turns(own, moves) & is_moved):
-            others = plane.arrays.neighbors[(plane.arrays.neighbors == own[k]).any(axis=1)].ravel()
-            blocked_by[k] += others[~plane.arrays.usable[others]].tolist()
+        moves = joined(motion.moves(owner, target, side, now), now, planned, np.arange(len(plane)))
+        hits = np.concatenate([hits, motion.obstacle_hits(owner, moves)])
+        for k in np.flatnonzero(~motion.turns(owner, moves) & is_moved):
+            near = plane.arrays.neighbors[(plane.arrays.neighbors == owner[k]).any(axis=1)].ravel()
+            blocked_by[k] += near[~plane.arrays.usable[near]].tolist()
         moves = moves, same
     for first, second in find_conflicts(plane, start, segments, moves=moves).T.tolist():
         if is_moved[first] != is_moved[second]:
-            moved, other = (first, second) if is_moved[first] else (second, first)
-            blocked_by[moved].append(int(own[other]))
+            moved, blocker = (first, second) if is_moved[first] else (second, first)
+            blocked_by[moved].append(int(owner[blocker]))
     for moved, obstacle in np.unique(hits, axis=0).tolist():
         blocked_by[moved].append(-1 - obstacle)
     rows = np.flatnonzero(is_moved)
-    return own[rows], target[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]
+    return owner[rows], target[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]

@@ -16,14 +16,10 @@ class RuleProblem:
     """The pairs of a positioner and a target that a rule may assign; all realizations of a tile share these data."""
 
     pairs: Reach
-    rank: np.ndarray
-    """Class of each target; class 0 is the most important."""
-    number: np.ndarray
-    """Integer that represents the identifier of each target."""
-    n_sharing: np.ndarray
-    """For each positioner, an upper limit of the number of other positioners that can reach any of its targets."""
-    by_distance: bool = False
-    """Whether the targets of a class are assigned in the order of their distances from positioners."""
+    rank: np.ndarray  # class of each target; class 0 is the most important
+    number: np.ndarray  # integer that represents the identifier of each target
+    n_sharing: np.ndarray  # upper limit of the number of other positioners that reach a target of each positioner
+    by_distance: bool = False  # whether targets of a class are assigned in the order of their distances
 
     @classmethod
     def of(cls, pairs: Reach, rank, science, is_required, number, n_sharing, *, by_distance=False) -> "RuleProblem":
@@ -61,10 +57,10 @@ class RuleProblem:
         targets in reach of each positioner.
         """
         n, size, pairs = self.pairs.n_positioners, start[-1], self.pairs
-        found = np.empty(n, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(n, np.int64)
+        best = np.empty(n, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(n, np.int64)
         order = self.rank, subpriority, self.number, self.by_distance, is_open
-        kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start, *found)
-        return found
+        kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start, *best)
+        return best
 
 
 def balanced(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray, rng) -> AllocationAnswer:

@@ -86,54 +86,63 @@ def decide(
     problem = with_cost(problem)
     options = {"integral": integral, "squared_cost": squared_cost}
     begin = now()
-    everything, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
+    candidates, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
-    problem, everything, kept = with_used_classes(problem, everything)
-    repaired = found = None
-    is_late, is_long = spent > LATE * problem.time_limit, everything.options.other.size > LONG * len(everything)
-    if collide and is_long and not is_late and whole and not squared_cost:
-        found = local_optimum(given, everything)
-    is_large = whole and len(everything) > LARGEST
-    if collide and (is_long or is_late or is_large) and found is None:
-        repaired = repaired_plan(given, everything)
-        if left(deadline) < spent:
-            plan, _ = plan_of(everything, repaired, np.inf)
-            values = values_of(everything, plan)
-            found = Found(plan, values, np.full(len(values), np.inf), LOCAL)
-    n_left_out = everything.preselection.n_left_out if whole else 0
+    problem, candidates, kept = with_used_classes(problem, candidates)
+    repaired = solution = None
+    if collide:
+        repaired, solution = _plan_locally(given, candidates, spent, whole=whole, squared_cost=squared_cost)
+    n_left_out = candidates.preselection.n_left_out if whole else 0
     # Some time is reserved for clusters and, if candidates were omitted, for the bound on plans that use them.
     halt = share(deadline, 1 - FOR_CLUSTERS) if collide else deadline
-    used, is_searched = everything, found is None
+    used, is_searched = candidates, solution is None
     if is_searched:
         end = share(halt, 1 - FOR_BOUND) if n_left_out else halt
-        used, found = _search(everything, end, collide=collide, repaired=repaired, **options)
-    chosen, bounds, bounding = found.chosen, found.bounds, used
-    meta = {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1], **found.meta}
-    proven = found.values >= bounds
+        used, solution = _search(candidates, end, collide=collide, repaired=repaired, **options)
+    chosen, bounds, bounding = solution.chosen, solution.bounds, used
+    meta = {"n_candidates": len(candidates), "n_conflicts": candidates.pairs.shape[1], **solution.meta}
+    proven = solution.values >= bounds
     if collide and n_left_out:
         meta["n_left_out"] = n_left_out
     if collide and n_left_out and is_searched:
-        bounding, relaxed = _search(everything.relaxed(), halt, collide=True, **options)
+        bounding, relaxed = _search(candidates.relaxed(), halt, collide=True, **options)
         bounds = relaxed.bounds
-        proven = (found.values >= bounds) & (relaxed.values >= bounds)
+        proven = (solution.values >= bounds) & (relaxed.values >= bounds)
     values = values_of(used, chosen)
     if not (whole and proven.all()):
         first = int(np.argmin(proven)) if whole else 0
         bounds = np.where(np.arange(len(bounds)) <= first, bounds if whole else np.inf, np.inf)
-        limits = matching_limits(problem, everything if whole else None)
+        limits = matching_limits(problem, candidates if whole else None)
         if collide:
             if repaired is None:
-                repaired = repaired_plan(given, everything)
-            used, chosen = better_of(used, chosen, everything, repaired, share(deadline, FOR_BETTER))
+                repaired = repaired_plan(given, candidates)
+            used, chosen = better_of(used, chosen, candidates, repaired, share(deadline, FOR_BETTER))
             chosen, limits = _refine(used, chosen, bounding if whole else None, first, bounds, limits, deadline)
             values = values_of(used, chosen)
         bounds = np.minimum(bounds, conditional_bounds(problem, values, limits, first))
     # The preselection for plans without collisions may omit targets of lower cost than those that it keeps.
-    least = found.least if whole and proven.all() and not (collide and n_left_out) else 0.0
-    if used is not everything and collide and everything.idle_pairs.size:
-        found = pick(everything, used.options.target[chosen], used.side[chosen])
-        used, chosen = everything, np.where(found < 0, everything.options.start[1:] - 1, found)
+    least = solution.least if whole and proven.all() and not (collide and n_left_out) else 0.0
+    if used is not candidates and collide and candidates.idle_pairs.size:
+        picked = pick(candidates, used.options.target[chosen], used.side[chosen])
+        used, chosen = candidates, np.where(picked < 0, candidates.options.start[1:] - 1, picked)
     return answer_of(given, problem, used, chosen, repaired, kept, lambda _: bounds, least, meta)
+
+
+def _plan_locally(given, candidates, spent, *, whole, squared_cost):
+    """Return the plan of ``repair``, and a solution that replaces the search; None for what is not made.
+
+    ``spent`` is the time in seconds that finding the candidates took.
+    """
+    is_late, is_long = spent > LATE * given.time_limit, candidates.options.excluded.size > LONG * len(candidates)
+    solution = local_optimum(given, candidates) if is_long and not is_late and whole and not squared_cost else None
+    if solution is not None or not (is_long or is_late or (whole and len(candidates) > LARGEST)):
+        return None, solution
+    repaired = repaired_plan(given, candidates)
+    if left(given.deadline) >= spent:
+        return repaired, None
+    plan, _ = plan_of(candidates, repaired, np.inf)
+    values = values_of(candidates, plan)
+    return repaired, Found(plan, values, np.full(len(values), np.inf), LOCAL)
 
 
 def _without_requirements(problem, **options):
@@ -169,10 +178,10 @@ def _candidates_in_time(problem, *, collide, squared_cost):
         some = problem if most is None else replace(problem, pairs=best_pairs(problem, most))
         limits = {} if last else {"seconds": max(seconds, AT_LEAST), "most_pairs": MOST_PAIRS}
         try:
-            found = find_candidates(some, squared_cost=squared_cost, **limits)
+            candidates = find_candidates(some, squared_cost=squared_cost, **limits)
         except OutOfTimeError:
             continue
-        return found, most is None
+        return candidates, most is None
     raise AssertionError
 
 
@@ -209,6 +218,7 @@ def _refine(used, chosen, bounding, first, bounds, limits, deadline):
             for k in able[1:]:
                 limits[k] = min(limits[k], _whole(prices.improve(weights[k], end)))
             offset = offset_of(problem)
+            # no more targets belong to the first classes than to these and further classes
             limits[offset:] = np.minimum.accumulate(limits[offset:][::-1])[::-1]
     except OutOfTimeError:
         pass
@@ -220,26 +230,26 @@ def _whole(bound):
     return np.floor(bound + ROUNDING)
 
 
-def _search(everything: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
+def _search(candidates: Candidates, deadline: float, *, collide: bool, repaired: Repaired | None = None, **options):
     """Return the candidates that the search used, and the best plan that it found.
 
     The search starts from the plan ``repaired``, if it is given.
     """
-    problem = everything.problem
-    used = everything.where(reduced(everything.options, share(deadline, FOR_REDUCTION)))
+    problem = candidates.problem
+    used = candidates.where(reduced(candidates.options, share(deadline, FOR_REDUCTION)))
     blind = pick(used, match(used))
     # The plan ``start`` can be invalid if the idle arm of a positioner is not among the candidates.
     end = share(deadline, FOR_REPAIR)
     # the plan of ``repair`` is not improved again
     start = _plan(used, blind, collide, end) if repaired is None else plan_of(used, repaired, now())[0]
-    found = _solve(used, blind, start, deadline, collide=collide, **options)
-    if found.chosen is None:
-        chosen = _plan(everything, pick(everything, trim(problem, match(everything))), collide, deadline)
-        return everything, found._replace(chosen=chosen, values=values_of(everything, chosen))
-    if (found.values < found.bounds).any() and collide and (found.chosen != start).any():
+    solution = _solve(used, blind, start, deadline, collide=collide, **options)
+    if solution.chosen is None:
+        chosen = _plan(candidates, pick(candidates, trim(problem, match(candidates))), collide, deadline)
+        return candidates, solution._replace(chosen=chosen, values=values_of(candidates, chosen))
+    if (solution.values < solution.bounds).any() and collide and (solution.chosen != start).any():
         # If the time limit ended an integer program, idle positioners may still have free targets of later classes.
-        return used, found._replace(chosen=improve(used, found.chosen, max(deadline, now() + FOR_LAST)))
-    return used, found
+        return used, solution._replace(chosen=improve(used, solution.chosen, max(deadline, now() + FOR_LAST)))
+    return used, solution
 
 
 def _plan(candidates, chosen, collide, deadline):
@@ -263,9 +273,9 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
     adds = np.array([name != "requirements" for name in problem.level_names])
     n_parts, n_programs, least = 0, 0, options.cost[known].sum()
     integers, complete = False, True
-    parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.own])))
+    parts = list(_parts(candidates, np.flatnonzero((n_left > 1)[options.owner])))
     for rows, edges in parts:
-        mine = np.unique(options.own[rows])
+        mine = np.unique(options.owner[rows])
         tell = None if problem.tell is None else partial(_tell, problem.tell, n_parts, len(parts))
         if collide and len(rows) > LARGEST:
             part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))
@@ -281,7 +291,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         if part.chosen is None:
             complete = False
         else:
-            chosen[options.own[part.chosen]] = part.chosen
+            chosen[options.owner[part.chosen]] = part.chosen
         n_parts, n_programs, least = n_parts + 1, n_programs + part.n_programs, least + part.least
         integers |= part.integral and part.n_programs > 0
     meta = {
@@ -334,13 +344,13 @@ def _parts(candidates, rows):
     same = np.flatnonzero(options.target[real[:-1]] == options.target[real[1:]])
     label = np.arange(len(options.start) - 1)
     for first, second in (edges, (real[same], real[same + 1])):
-        conflicts.join(options.own[first], options.own[second], label)
+        conflicts.join(options.owner[first], options.owner[second], label)
     # Small parts are combined in the order of their labels.
-    members = np.unique(options.own[rows])
+    members = np.unique(options.owner[rows])
     names, size = np.unique(label[members], return_counts=True)
     batch = np.zeros(len(label), dtype=np.int64)
     batch[names] = np.concatenate([[0], np.cumsum(size)[:-1]]) // SMALLEST
-    of_row, of_edge = batch[label[options.own[rows]]], batch[label[options.own[edges[0]]]]
+    of_row, of_edge = batch[label[options.owner[rows]]], batch[label[options.owner[edges[0]]]]
     used = np.unique(of_row)
     for b in used:
         yield rows[of_row == b], edges[:, of_edge == b] if len(used) > 1 else edges

@@ -154,7 +154,7 @@ def _run(solver, deadline: float) -> bool:
             thread.join(min(max(deadline + GRACE - now(), 0.0), INTERVAL))
     finally:
         if thread.is_alive():
-            _abandoned[:] = [one for one in _abandoned if one.is_alive()] + [thread]
+            _abandoned[:] = [thread for thread in _abandoned if thread.is_alive()] + [thread]
             solver.cancelSolve()
             thread.join(GRACE)
     return not thread.is_alive()

@@ -58,55 +58,55 @@ def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAn
     """Return the best plan that follows the rules; ``free`` is a plan without the rules, with values and bounds."""
     given, deadline = problem, problem.deadline
     problem = with_cost(problem)
-    everything, whole = _search._candidates_in_time(problem, collide=True, squared_cost=squared_cost)
-    repaired = repaired_plan(given, everything)
-    problem, everything, kept = with_used_classes(problem, everything)
+    candidates, whole = _search._candidates_in_time(problem, collide=True, squared_cost=squared_cost)
+    repaired = repaired_plan(given, candidates)
+    problem, candidates, kept = with_used_classes(problem, candidates)
     offset = offset_of(given)
     rows = np.concatenate([np.arange(offset), offset + kept, np.arange(offset + len(given.classes), len(values))])
-    known, limits = [(values[rows], bounds[rows])], matching_limits(problem, everything if whole else None)
+    known, limits = [(values[rows], bounds[rows])], matching_limits(problem, candidates if whole else None)
     upper = partial(_upper, problem, limits, known)
 
     def is_best(plan):
-        found = values_of(everything, plan)
-        return bool((found >= upper(found)).all())
+        values = values_of(candidates, plan)
+        return bool((values >= upper(values)).all())
 
-    plans = [*_first_plans(everything, free, upper, is_best, deadline), plan_of(everything, repaired, deadline)[0]]
-    chosen = max(plans, key=lambda plan: tuple(values_of(everything, plan)))
-    if len(everything) > SMALL:
-        chosen = improve_by_clusters(everything, chosen, share(deadline, FOR_CLUSTERS), is_best, upper, SIZE)
-    least, meta = 0.0, {**LOCAL, "n_open": int((np.diff(everything.options.start) > 1).sum()), "n_parts": 1}
+    plans = [*_first_plans(candidates, free, upper, is_best, deadline), plan_of(candidates, repaired, deadline)[0]]
+    chosen = max(plans, key=lambda plan: tuple(values_of(candidates, plan)))
+    if len(candidates) > SMALL:
+        chosen = improve_by_clusters(candidates, chosen, share(deadline, FOR_CLUSTERS), is_best, upper, SIZE)
+    least, meta = 0.0, {**LOCAL, "n_open": int((np.diff(candidates.options.start) > 1).sum()), "n_parts": 1}
     if squared_cost or not is_best(chosen):
-        found = _solve(everything, chosen, upper, share(deadline, FOR_PROGRAM), squared_cost)
-        if found is not None:
-            meta |= {"model": "integer program", "n_programs": found.n_programs}
-            if found.chosen is not None:
+        solution = _solve(candidates, chosen, upper, share(deadline, FOR_PROGRAM), squared_cost)
+        if solution is not None:
+            meta |= {"model": "integer program", "n_programs": solution.n_programs}
+            if solution.chosen is not None:
                 chosen = chosen.copy()
-                chosen[everything.options.own[found.chosen]] = found.chosen
-            if whole and not everything.preselection.n_left_out:
-                known.append((found.values, found.bounds))
-                least = found.least if (found.values >= found.bounds).all() else 0.0
+                chosen[candidates.options.owner[solution.chosen]] = solution.chosen
+            if whole and not candidates.preselection.n_left_out:
+                known.append((solution.values, solution.bounds))
+                least = solution.least if (solution.values >= solution.bounds).all() else 0.0
         if not is_best(chosen):
-            chosen = improve_by_clusters(everything, chosen, deadline, is_best, upper, SIZE)
-    meta |= {"n_candidates": len(everything), "n_conflicts": everything.pairs.shape[1]}
-    answer = answer_of(given, problem, everything, chosen, repaired, kept, upper, least, meta)
+            chosen = improve_by_clusters(candidates, chosen, deadline, is_best, upper, SIZE)
+    meta |= {"n_candidates": len(candidates), "n_conflicts": candidates.pairs.shape[1]}
+    answer = answer_of(given, problem, candidates, chosen, repaired, kept, upper, least, meta)
     meta["n_lost_to_rules"] = lost_to_rules(given, free.target_of_positioner, answer.target_of_positioner)
     return answer
 
 
-def _first_plans(everything: Candidates, free: AllocationAnswer, upper, is_best, deadline: float) -> list[np.ndarray]:
+def _first_plans(candidates: Candidates, free: AllocationAnswer, upper, is_best, deadline: float) -> list[np.ndarray]:
     """Return plans from which the search can begin, made from a plan without the rules."""
-    problem, options = everything.problem, everything.options
-    first = pick(everything, free.target_of_positioner, np.where(free.handedness == "left", -1.0, 1.0))
-    plans = [repair_collisions(everything, first, deadline)]
-    plan, blocked, _ = stand(everything, np.where(first < 0, options.start[1:] - 1, first))
-    if len(everything) <= SMALL or (blocked[plan] > 0).any():
+    problem, options = candidates.problem, candidates.options
+    first = pick(candidates, free.target_of_positioner, np.where(free.handedness == "left", -1.0, 1.0))
+    plans = [repair_collisions(candidates, first, deadline)]
+    plan, blocked, _ = stand(candidates, np.where(first < 0, options.start[1:] - 1, first))
+    if len(candidates) <= SMALL or (blocked[plan] > 0).any():
         return plans
     # all targets that are not science targets are chosen again, such that they are neighbors
-    others = np.flatnonzero(options.rank[plan] >= len(problem.classes))
-    plans.append(improve_members(everything, plan, others, deadline, upper))
-    missing = -values_of(everything, plans[-1])[problem.level_names.index("requirements")]
+    free_positioners = np.flatnonzero(options.rank[plan] >= len(problem.classes))
+    plans.append(improve_members(candidates, plan, free_positioners, deadline, upper))
+    missing = -values_of(candidates, plans[-1])[problem.level_names.index("requirements")]
     if 0 < missing <= FEW * len(plan):
-        plans.append(improve_by_clusters(everything, plans[-1], share(deadline, FOR_OTHERS), is_best, upper, SIZE))
+        plans.append(improve_by_clusters(candidates, plans[-1], share(deadline, FOR_OTHERS), is_best, upper, SIZE))
     return plans
 
 
@@ -115,26 +115,26 @@ def _upper(problem: AllocationProblem, limits: np.ndarray, known: list, values: 
 
     ``known`` contains values of plans, and bounds of each objective for plans with the same earlier values.
     """
-    found = conditional_bounds(problem, values, limits, 0)
+    limit = conditional_bounds(problem, values, limits, 0)
     for reached, bounds in known:
         same = np.append(True, np.cumprod(values == reached)[:-1] > 0)
-        found = np.where(same, np.minimum(found, bounds), found)
-    return found
+        limit = np.where(same, np.minimum(limit, bounds), limit)
+    return limit
 
 
-def _solve(everything: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> Solution | None:
+def _solve(candidates: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> Solution | None:
     """Return the plan of the integer program of all positioners; None if the program is too large."""
-    options, state = everything.options, stand(everything, chosen)
+    options, state = candidates.options, stand(candidates, chosen)
     members = np.flatnonzero(np.diff(options.start) > 1)
     first = chosen[members]
     if np.diff(options.start)[members].sum() > _search.LARGEST or left(deadline) == 0:
         return None
     settings = {"integral": True, "squared_cost": squared_cost}
     try:
-        program = program_of(everything, members, *state, deadline)
-        part, base = upper_of_part(everything, state[0], upper)
-        found = pursue(program, first, deadline, None, upper=part, **settings)
+        program = program_of(candidates, members, *state, deadline)
+        part, base = upper_of_part(candidates, state[0], upper)
+        solution = pursue(program, first, deadline, None, upper=part, **settings)
     except OutOfTimeError:
         return None
-    least = found.least + options.cost[state[0][np.diff(options.start) == 1]].sum()
-    return found._replace(values=found.values + base, bounds=found.bounds + base, least=least)
+    least = solution.least + options.cost[state[0][np.diff(options.start) == 1]].sum()
+    return solution._replace(values=solution.values + base, bounds=solution.bounds + base, least=least)

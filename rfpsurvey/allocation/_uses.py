@@ -33,7 +33,7 @@ def warn_of_unused_options(
     given = [*(name for name in first.changed() if name != "parked_obstacles"), *also]
     given += ["rng"] if is_seed_given(rng) else []
     known = [find_improving(name, first.start, first.moves) for name in METHODS]
-    warn_of_unused(given, [one.method for one in options], known, "allocator")
+    warn_of_unused(given, [settings.method for settings in options], known, "allocator")
     _warn_of_only_checked(options, known)
     if plane is not None and not first.parked_obstacles and not first.motion_law:
         warn_of_parked(plane)
@@ -49,37 +49,38 @@ def warn_of_lacks(options, column: Callable[[str], np.ndarray | None]) -> None:
     column : callable
         Function that returns a column of the catalog (``kind`` or ``category``), or None without this column.
     """
-    rules = (one for one in options.all_constraints if isinstance(one, Rule) and hasattr(one, "what"))
-    asked = {one.what: one for one in (*(one for one in rules if one.what not in ("", *KINDS)), *options.needs)}
+    rules = [rule for rule in options.all_constraints if isinstance(rule, Rule)]
+    rules = [rule for rule in rules if getattr(rule, "what", "") not in ("", *KINDS)]
+    asked = {rule.what: rule for rule in (*rules, *options.needs)}
     if options.sky_separation is not None:
         asked.pop("sky", None)
     asked.pop("science", None)
     columns = [values for name in ("kind", "category") if asked and (values := column(name)) is not None]
-    lacking = {what: one for what, one in asked.items() if not any(has_role(values, what).any() for values in columns)}
+    lacking = {what: rule for what, rule in asked.items() if not any(has_role(kind, what).any() for kind in columns)}
     if not lacking:
         return
-    there = {"science", *(name for values in columns for name in np.unique(values).tolist())}
-    categories = sorted(there - {*KINDS, *JOINED, ""})
-    for what, one in lacking.items():
-        hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, there)
+    known = {"science", *(name for values in columns for name in np.unique(values).tolist())}
+    categories = sorted(known - {*KINDS, *JOINED, ""})
+    for what, rule in lacking.items():
+        hint = "set sky_separation to add blank sky positions" if what == "sky" else hint_of_name(what, known)
         if categories and not hint and what not in KINDS:
             hint = f"the catalog's categories are: {listed(categories, 8)}"
-        word = "requirement" if one in options.needs else "rule"
-        text = f"no target of the catalog is {what!r}, but the {word} '{one}' needs such targets"
+        word = "requirement" if rule in options.needs else "rule"
+        text = f"no target of the catalog is {what!r}, but the {word} '{rule}' needs such targets"
         warn(text + (hint and f"; {hint}"))
 
 
 def _warn_of_only_checked(options: Sequence, known: list) -> None:
     """Issue a warning for each constraint that no allocator honors; the results only state how it is violated."""
-    methods, first = [one.method for one in options], options[0]
+    methods, first = [settings.method for settings in options], options[0]
     if any(method.options is None for method in methods):  # allocators without a record may honor every constraint
         return
-    own = {id(one) for one in first.constraints}  # comparing constraints could compare arrays
-    for one in first.all_constraints:
-        is_checked = ("obstacles" in one.parts or id(one) in own) and not one.before_fibers
-        if is_checked and all(one.honored(method.abilities) == ONLY_CHECKED for method in methods):
-            users = [method.name for method in known if one.honored(method.abilities) != ONLY_CHECKED]
-            name = f"'{one}'" if id(one) in own else one.name
+    given_ids = {id(constraint) for constraint in first.constraints}  # comparing constraints could compare arrays
+    for constraint in first.all_constraints:
+        is_checked = ("obstacles" in constraint.parts or id(constraint) in given_ids) and not constraint.before_fibers
+        if is_checked and all(constraint.honored(method.abilities) == ONLY_CHECKED for method in methods):
+            users = [method.name for method in known if constraint.honored(method.abilities) != ONLY_CHECKED]
+            name = f"'{constraint}'" if id(constraint) in given_ids else constraint.name
             chosen = f"{'s' if len(methods) > 1 else ''} {' and '.join(repr(method.name) for method in methods)}"
             who = f"{listed(users)} can honor it" if users else "no allocator honors it"
             warn_no_effect(name, f"with the allocator{chosen}, except that plans are checked; {who}")

@@ -23,14 +23,10 @@ from rfpsurvey.focal_plane import elbow_names
 class TileRules(NamedTuple):
     """Linear constraints on the plan of a tile: the sum over the candidates in use of each row is at most a number."""
 
-    matrix: csr_array
-    """Matrix with a row for each constraint and a column for each candidate."""
-    most: np.ndarray
-    """Largest sum of each row; minima have the opposite sign."""
-    is_count: np.ndarray
-    """Whether each row counts candidates, so that all its elements are 1 or -1."""
-    usable: np.ndarray
-    """Whether each candidate may be used. Neighbors that rules on the distribution count in the given plan are kept."""
+    matrix: csr_array  # matrix with a row for each constraint and a column for each candidate
+    most: np.ndarray  # largest sum of each row; minima have the opposite sign
+    is_count: np.ndarray  # whether each row counts candidates, so that all its elements are 1 or -1
+    usable: np.ndarray  # whether each candidate may be used; neighbors that rules count in the given plan are kept
 
 
 def no_rules(n: int) -> TileRules:
@@ -48,24 +44,25 @@ def rules_of(candidates: Candidates, planned: np.ndarray) -> TileRules:
     """
     problem, options, rows, most = candidates.problem, candidates.options, [], []
     for group, held in zip(problem.groups, candidates.held, strict=True):
-        one = group.requirement
-        for sign, limit in ((-1.0, one.minimum or None), (1.0, one.maximum)):
+        requirement = group.requirement
+        for sign, limit in ((-1.0, requirement.minimum or None), (1.0, requirement.maximum)):
             if limit is not None:
                 rows.append(sign * held)
                 most.append(sign * limit)
     if problem.any_required:
-        others = np.append(problem.is_required & ~problem.science, False)
-        if others.any():
-            rows.append(-1.0 * others[options.target])
-            most.append(-1.0 * others[planned].sum())
+        required = np.append(problem.is_required & ~problem.science, False)
+        if required.any():
+            rows.append(-1.0 * required[options.target])
+            most.append(-1.0 * required[planned].sum())
     n_counts, usable = len(rows), np.ones(len(candidates), dtype=bool)
     for rule, science, near in candidates.spreads:
-        kept = near & (options.target == planned[options.own])
+        kept = near & (options.target == planned[options.owner])
         is_kept = np.zeros(len(planned), dtype=bool)
-        is_kept[options.own[kept]] = True
-        usable &= ~is_kept[options.own] | kept
+        is_kept[options.owner[kept]] = True
+        usable &= ~is_kept[options.owner] | kept
         first = pairs_within(problem.xy, problem.xy[np.unique(options.target[kept])], rule.distance_mm)[0]
         served = np.bincount(first, minlength=len(problem.xy)) >= rule.k
+        # the sum is at most 0 if at least this percentage of the science fibers in use is served
         rows.append(np.where(science, rule.percent / 100 - np.append(served, False)[options.target], 0.0))
         most.append(0.0)
     if not rows:
@@ -81,21 +78,14 @@ SAME_MM = 1e-3
 class TileCandidates(NamedTuple):
     """The candidates of the positioners of one tile; the last candidate of each positioner is its idle arm."""
 
-    start: np.ndarray
-    """Index of the first candidate of each positioner, followed by the total number of candidates."""
-    target: np.ndarray
-    """Row of the target of each candidate; -1 for idle arms."""
-    side: np.ndarray
-    """Elbow of each candidate: +1 is right, -1 is left."""
+    start: np.ndarray  # index of the first candidate of each positioner, followed by the total number of candidates
+    target: np.ndarray  # row of the target of each candidate; -1 for idle arms
+    side: np.ndarray  # elbow of each candidate: +1 is right, -1 is left
     indptr: np.ndarray
-    column: np.ndarray
-    """Cliques as compressed rows (``indptr``, ``column``): a plan uses at most one candidate of each clique."""
-    shortened: np.ndarray
-    """Whether some candidates of each positioner were omitted."""
-    pairs: tuple[np.ndarray, np.ndarray]
-    """Positioner and target of each reachable pair."""
-    rules: TileRules
-    """Requirements, required standards and sky positions, and rules on the distribution of fibers."""
+    column: np.ndarray  # cliques as compressed rows (``indptr``, ``column``): a plan uses at most one of each
+    shortened: np.ndarray  # whether some candidates of each positioner were omitted
+    pairs: tuple[np.ndarray, np.ndarray]  # positioner and target of each reachable pair
+    rules: TileRules  # requirements, required standards and sky positions, and rules on the distribution of fibers
 
 
 class ListCandidates:
@@ -116,25 +106,25 @@ class ListCandidates:
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
         """Return an answer that assigns no target and contains all candidates in ``meta``."""
-        found = find_candidates(problem, keep_target=self.keep_target)
-        cliques = Prices(found, np.inf)
-        options, reach = found.options, problem.pairs
+        candidates = find_candidates(problem, keep_target=self.keep_target)
+        cliques = Prices(candidates, np.inf)
+        options, reach = candidates.options, problem.pairs
         listed = TileCandidates(
             options.start,
             options.target.astype(np.int32),
-            found.side.astype(np.int8),
+            candidates.side.astype(np.int8),
             cliques.indptr,
             cliques.column.astype(np.int32),
-            found.preselection.shortened.any(axis=1),
+            candidates.preselection.shortened.any(axis=1),
             (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
-            rules_of(found, self.keep_target),
+            rules_of(candidates, self.keep_target),
         )
         if self.reuse:
-            listed = with_reused(listed, found, self.keep_target)
+            listed = with_reused(listed, candidates, self.keep_target)
         return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
 
 
-def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) -> TileCandidates:
+def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndarray) -> TileCandidates:
     """Return candidates with copies, without the role science, of those of science targets that also have other roles.
 
     The target of a copy is -2 - t, where t is the row of the target. A copy is in the same cliques as the original,
@@ -144,7 +134,7 @@ def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) 
     ----------
     listed : TileCandidates
         The candidates.
-    found : Candidates
+    candidates : Candidates
         The same candidates, with their problem.
     planned : ndarray of int, shape (n_positioners,)
         The target of each positioner in the given plan (see `rules_of`).
@@ -154,23 +144,23 @@ def with_reused(listed: TileCandidates, found: Candidates, planned: np.ndarray) 
     TileCandidates
         The candidates, in which the copies follow the originals of each positioner.
     """
-    problem, own, n = found.problem, found.options.own, len(found)
+    problem, owner, n = candidates.problem, candidates.options.owner, len(candidates)
     several = problem.science & (problem.kind != "science")
     rows = np.flatnonzero(np.append(several, False)[listed.target])
     if len(rows) == 0:
         return listed
     kind, required = np.where(several, without_science(problem.kind), problem.kind), problem.is_required & ~several
-    others = found.for_problem(replace(problem, kind=kind, is_required=required))
-    rules, of_copies, is_idle = listed.rules, rules_of(others, planned), np.zeros(n + len(rows), dtype=bool)
+    copies = candidates.for_problem(replace(problem, kind=kind, is_required=required))
+    rules, of_copies, is_idle = listed.rules, rules_of(copies, planned), np.zeros(n + len(rows), dtype=bool)
     is_idle[listed.start[1:] - 1] = True
     copied = np.concatenate([np.arange(n), rows])
-    order = np.lexsort((is_idle, own[copied]))
+    order = np.lexsort((is_idle, owner[copied]))  # the idle arm remains the last candidate of its positioner
     copied, is_copy = copied[order], order >= n
     shape = len(listed.indptr) - 1, n
     cliques = csr_array((np.ones(len(listed.column)), listed.column, listed.indptr), shape=shape)[:, copied]
     cliques.sort_indices()
     return listed._replace(
-        start=listed.start + np.concatenate([[0], np.cumsum(np.bincount(own[rows], minlength=len(listed.start) - 1))]),
+        start=listed.start + np.searchsorted(np.sort(owner[rows]), np.arange(len(listed.start))),
         target=np.where(is_copy, -2 - listed.target[copied], listed.target[copied]),
         side=listed.side[copied],
         indptr=cliques.indptr,
@@ -229,21 +219,14 @@ class WeightedProblem(NamedTuple):
     In addition, a plan may use at most a given number of the candidates of each set.
     """
 
-    start: np.ndarray
-    """Index of the first candidate of each positioner, followed by the total number of candidates."""
+    start: np.ndarray  # index of the first candidate of each positioner, followed by the total number of candidates
     weight: np.ndarray
-    sets: csr_array
-    """Matrix with a row for each set, usually of ones, and a column for each candidate."""
-    most: np.ndarray
-    """Largest sum of the elements of each row over the candidates that a plan uses."""
-    first: np.ndarray | None
-    """Candidate of each positioner in the plan from which the search starts; None if there is no such plan."""
-    nodes: int
-    """Largest number of nodes of the search tree."""
-    gap: float
-    """Allowed relative error of the largest sum of the weights."""
-    deadline: float
-    """Value of `time.time` at which the search ends; all processes share this clock."""
+    sets: csr_array  # matrix with a row for each set, usually of ones, and a column for each candidate
+    most: np.ndarray  # largest sum of the elements of each row over the candidates that a plan uses
+    first: np.ndarray | None  # candidate of each positioner in the plan from which the search starts, if any
+    nodes: int  # largest number of nodes of the search tree
+    gap: float  # allowed relative error of the largest sum of the weights
+    deadline: float  # value of `time.time` at which the search ends; all processes share this clock
 
 
 def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
@@ -266,13 +249,13 @@ def solve_weighted(problem: WeightedProblem) -> tuple[np.ndarray | None, float]:
         first = np.zeros(n)
         first[problem.first] = 1.0
     limits = {"gap": problem.gap, "first": first, "nodes": problem.nodes}
-    deadline = now() + problem.deadline - time()
+    deadline = now() + problem.deadline - time()  # on the clock of this process
     x, bound = choose_one_each(problem.start, problem.weight, sets, problem.most, deadline, **limits)
     if x is None:
         return None, bound
     chosen = np.flatnonzero(x > 0.5)
-    own = np.searchsorted(problem.start, chosen, side="right") - 1
-    if not np.array_equal(own, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + TOLERANCE).any():
+    owner = np.searchsorted(problem.start, chosen, side="right") - 1
+    if not np.array_equal(owner, np.arange(len(problem.start) - 1)) or (sets @ x > problem.most + TOLERANCE).any():
         return None, bound
     return chosen, bound
 
@@ -300,7 +283,7 @@ class RowPrices(Prices):
 
     def __init__(self, start: np.ndarray, matrix: csr_array, most: np.ndarray, free: np.ndarray, n_least: int = 0):
         self.start, self.matrix, self.most, self.free = start, matrix, most, free
-        self.own = np.repeat(np.arange(len(start) - 1), np.diff(start))
+        self.owner = np.repeat(np.arange(len(start) - 1), np.diff(start))
         self.indptr, self.column = matrix.indptr.astype(np.int64), matrix.indices.astype(np.int64)
         self.price = np.zeros(len(most))
         is_least = np.arange(len(most)) >= len(most) - n_least
@@ -319,6 +302,7 @@ class RowPrices(Prices):
         float
             Upper bound of the total weight of any plan.
         """
+        # for any prices, no plan exceeds the cost of all limits plus the best priced candidate of each positioner
         total = float(self.price @ self.most)
         best = np.maximum.reduceat(self.values(weights), self.start[:-1])
         # an omitted candidate may belong to all sets of which a plan must use a number of candidates

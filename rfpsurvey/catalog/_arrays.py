@@ -134,11 +134,11 @@ class CatalogArrays:
 
     @cached_property
     def vectors(self) -> np.ndarray:
-        found = np.empty((len(self._coord), 3))
-        for first in range(0, len(found), BLOCK):
+        vectors = np.empty((len(self._coord), 3))
+        for first in range(0, len(vectors), BLOCK):
             block = slice(first, first + BLOCK)
-            found[block] = to_vectors(self._coord[block])
-        return locked(found)
+            vectors[block] = to_vectors(self._coord[block])
+        return locked(vectors)
 
     @cached_property
     def repeated_ids(self) -> bool:
@@ -150,7 +150,7 @@ class CatalogArrays:
     def rows_within(self, center: SkyCoord, radius_rad: float) -> np.ndarray:
         """Return the row numbers of the targets inside a circle on the sky."""
         mask = np.empty(len(self._id), dtype=bool)
-        center = to_vectors(center, "center", one=True)[0]
+        center = to_vectors(center, "center", scalar=True)[0]
         sky.within(self.vectors, center, half_chord_squared(radius_rad), mask)
         return np.flatnonzero(mask)
 

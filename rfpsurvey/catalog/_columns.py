@@ -66,22 +66,15 @@ class Finder:
     """Finds the columns of a table that have a given role, such as ``ra`` or ``priority``."""
 
     table: Table
-    columns: dict = field(default_factory=dict)
-    """Column name for each role, used instead of the common names; a leading minus reverses the sign of the numbers."""
-    units: dict = field(default_factory=dict)
-    """Units of the columns that have no unit in the table; the keys are the roles of the columns."""
-    assume_units: bool = False
-    """Whether columns without a unit are assumed to have the default unit (for formats that cannot contain units)."""
-    fill: dict = field(default_factory=dict)
-    """For each role, the value that replaces missing values."""
-    assumed: dict = field(default_factory=dict, init=False)
-    """Default units of the columns whose unit was assumed; the keys are the roles of the columns."""
-    remarks: dict = field(default_factory=dict, init=False)
-    """Text about columns that the statement on the columns includes; the keys are the roles of the columns."""
-    format: SurveyFormat | None = field(default=None, init=False)
-    """Format of the table, if the table has the columns of a known survey."""
-    given: frozenset = field(default=frozenset(), init=False)
-    """Roles whose columns are given by ``columns``."""
+    # the keys of all dictionaries are roles
+    columns: dict = field(default_factory=dict)  # column names; a leading minus reverses the sign of the numbers
+    units: dict = field(default_factory=dict)  # units of the columns that have no unit in the table
+    assume_units: bool = False  # whether columns without a unit have the default unit, as in formats without units
+    fill: dict = field(default_factory=dict)  # values that replace missing values
+    assumed: dict = field(default_factory=dict, init=False)  # default units of the columns whose unit was assumed
+    remarks: dict = field(default_factory=dict, init=False)  # text that the statement on the columns includes
+    format: SurveyFormat | None = field(default=None, init=False)  # of the table, if it is that of a known survey
+    given: frozenset = field(default=frozenset(), init=False)  # roles whose columns are given by ``columns``
 
     def __post_init__(self):
         for given, what in ((self.columns, "column"), (self.units, "unit"), (self.fill, "value")):
@@ -115,29 +108,29 @@ class Finder:
             if name in lower:
                 return lower[name]
         if ucd:
-            for main in (True, False):
+            for main in (True, False):  # a column that is marked as the main one takes precedence
                 for column in self.table.colnames:
-                    own = _ucd(self.table[column])
-                    if own.startswith(ucd) and (not main or "meta.main" in own):
+                    column_ucd = _ucd(self.table[column])
+                    if column_ucd.startswith(ucd) and (not main or "meta.main" in column_ucd):
                         return column
         return None
 
     def unit_of(self, role: str) -> u.UnitBase | None:
         """Return the unit of the column with this role, from the table or from ``units``; None if there is no unit."""
         name = self.name_of(role)
-        own = getattr(self.table[name], "unit", None)
-        own = None if own is None or u.Unit(own) == u.dimensionless_unscaled else _unit(own, role)
+        unit = getattr(self.table[name], "unit", None)
+        unit = None if unit is None or u.Unit(unit) == u.dimensionless_unscaled else _unit(unit, role)
         try:
             given = _unit(self.units[role], role) if role in self.units else None
             if isinstance(given, u.UnrecognizedUnit):
                 raise ValueError
         except (ValueError, TypeError):
             raise InputError(f"the value of units for {role} must be a unit, got {short(self.units[role])}") from None
-        if own is not None and given is not None and own != given:
+        if unit is not None and given is not None and unit != given:
             raise InputError(
-                f"column {name!r} has the unit {own} in the table, but the unit {given} in the argument units"
+                f"column {name!r} has the unit {unit} in the table, but the unit {given} in the argument units"
             )
-        return own or given
+        return unit or given
 
     def has_units(self, roles: tuple[str, ...]) -> bool:
         """Return whether the table states a unit for any column of positions or proper motions with these roles."""

@@ -60,10 +60,10 @@ def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
     name = os.fspath(path)
     file = EXAMPLES[check_choice(name.removeprefix(PREFIX), EXAMPLES, "example catalog")]
     paths = [folder / f"{file}{ending}" for folder, ending in _PLACES]
-    found = next((path for path in paths if path.exists()), None)
-    if found is None:
+    example = next((path for path in paths if path.exists()), None)
+    if example is None:
         raise InputError(f"the installation must contain {paths[0]}, but the file is missing: install rfpsurvey again")
-    return found, name
+    return example, name
 
 
 def read_table(path: Path, hdu: int | str | None = None) -> QTable:

@@ -20,8 +20,8 @@ MOST_EXACT = 2**53
 COLUMN_KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 
 
-def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
-    """Return the columns of a table whose names are in ``keep`` but not in ``others``, or None if there are none."""
+def pick_columns(table: Table, keep: object, used: set) -> QTable | None:
+    """Return the columns of a table whose names are in ``keep`` but not in ``used``, or None if there are none."""
     if keep is None:
         return None
     if not isinstance(keep, str | list | tuple):
@@ -33,7 +33,7 @@ def pick_columns(table: Table, keep: object, others: set) -> QTable | None:
                 f"columns that are kept, or that a rule uses, must be columns of the table ({listed(table.colnames)}), "
                 f"got {name!r}"
             )
-    names = [name for name in names if name not in others]
+    names = [name for name in names if name not in used]
     return extra_columns({name: table[name] for name in names}, len(table)) if names else None
 
 
@@ -51,10 +51,10 @@ def extra_columns(columns: object, n: int) -> QTable | None:
     for name in map(str, names):
         if not name.isprintable() or name != name.strip() or not name:
             raise InputError(f"the name of a column in keep must be text without blanks at its ends, got {name!a}")
-    found = QTable({str(name): _plain(columns[name], str(name)) for name in names})
-    if len(found) != n:
-        raise InputError(f"columns of extra must have one value for each of the {n} targets, got {len(found)} values")
-    return found
+    extra = QTable({str(name): _plain(columns[name], str(name)) for name in names})
+    if len(extra) != n:
+        raise InputError(f"columns of extra must have one value for each of the {n} targets, got {len(extra)} values")
+    return extra
 
 
 def result_name(name: str) -> str:

@@ -61,15 +61,15 @@ def select_rows(table: Table, select: dict | None) -> tuple[Table, str]:
 
 def _has_value(column, value: object) -> np.ndarray:
     """Return whether each row of a column has a value."""
-    texts = np.array([str(getattr(own, "value", own)).strip() for own in column], dtype=str)
+    texts = np.array([str(getattr(cell, "value", cell)).strip() for cell in column], dtype=str)
     kind, numbers = getattr(getattr(column, "dtype", None), "kind", ""), getattr(column, "value", column)
-    found = np.char.lower(texts) == str(value).lower() if kind == "b" else texts == str(value)
+    matches = np.char.lower(texts) == str(value).lower() if kind == "b" else texts == str(value)
     if kind in "biuf" and np.ndim(column) == 1 and is_number(str(value)):
         numbers = np.ma.getdata(np.ma.asarray(numbers)).astype(float)
         # integers that float64 does not distinguish are compared only as text
-        found |= (numbers == float(value)) & ((kind == "f") | (np.abs(numbers) < 2.0**53))
+        matches |= (numbers == float(value)) & ((kind == "f") | (np.abs(numbers) < 2.0**53))
     mask = np.asarray(getattr(column, "mask", False))
-    return found & ~(mask if mask.ndim == 1 else np.zeros(len(found), dtype=bool))
+    return matches & ~(mask if mask.ndim == 1 else np.zeros(len(matches), dtype=bool))
 
 
 def _is_records(given) -> bool:
@@ -81,7 +81,7 @@ def _is_records(given) -> bool:
 
 def _is_of(given, *types: tuple[str, str]) -> bool:
     """Return whether an object has one of several types of other packages, without importing these packages."""
-    return any((one.__module__.partition(".")[0], one.__name__) in types for one in type(given).__mro__)
+    return any((base.__module__.partition(".")[0], base.__name__) in types for base in type(given).__mro__)
 
 
 def _of_pandas(frame, columns, index_as_id) -> Table:

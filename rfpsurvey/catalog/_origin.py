@@ -45,7 +45,7 @@ def write_exactly(catalog, path: Path, *, overwrite: bool = False) -> None:
     for name in () if catalog.extra is None else catalog.extra.colnames:
         table[EXTRA + name] = catalog.extra[name]
     columns = {name: np.asarray(getattr(column, "value", column)) for name, column in table.items()}
-    units = {name: str(one) for name, column in table.items() if (one := getattr(column, "unit", None)) is not None}
+    units = {name: str(unit) for name, column in table.items() if (unit := getattr(column, "unit", None)) is not None}
     dtype = np.dtype([(name, column.dtype) for name, column in columns.items()])
     parts = (
         np.rec.fromarrays([column[k : k + ROWS] for column in columns.values()], dtype=dtype)
@@ -73,9 +73,9 @@ def exact_columns(table: Table) -> dict:
 
 def origin_of(path: Path, name: str, given: dict) -> dict:
     """Return the arguments with which a file or a folder was read, as text and numbers, with the absolute path."""
-    found = {key: value for key, value in given.items() if value and (key, value) != ("frame", "icrs")}
-    if "units" in found:
-        found["units"] = {role: str(unit) for role, unit in found["units"].items()}
-    if "keep" in found:
-        found["keep"] = [found["keep"]] if isinstance(found["keep"], str) else [*found["keep"]]
-    return {"path": name if is_example(name) else str(path.resolve()), **found}
+    origin = {key: value for key, value in given.items() if value and (key, value) != ("frame", "icrs")}
+    if "units" in origin:
+        origin["units"] = {role: str(unit) for role, unit in origin["units"].items()}
+    if "keep" in origin:
+        origin["keep"] = [origin["keep"]] if isinstance(origin["keep"], str) else [*origin["keep"]]
+    return {"path": name if is_example(name) else str(path.resolve()), **origin}

@@ -46,12 +46,12 @@ def main_table(folder: Path) -> tuple[Path, str]:
     path = folder / COLLECTION
     if not is_present(path) or any(is_present(folder / name) for name in PROPERTIES):
         return folder, ""
-    found = _read(path)
-    url = found.get("hats_primary_table_url", "")
+    properties = _read(path)
+    url = properties.get("hats_primary_table_url", "")
     main = folder / url
     if not url or "://" in url or not main.is_dir():
         raise InputError(f"{path}: hats_primary_table_url must be the folder of the main table, got {url!r}")
-    margins, indexes = found.get("all_margins", "").split(), found.get("all_indexes", "").split()[1::2]
+    margins, indexes = properties.get("all_margins", "").split(), properties.get("all_indexes", "").split()[1::2]
     left = [f"margin {name}" for name in margins] + [f"index {name}" for name in indexes]
     return main, f"main table {url}" + (f"; not read: {', '.join(left)}" if left else "")
 
@@ -67,25 +67,25 @@ def properties_of(folder: Path, first: Path) -> dict[str, str]:
     path = next((path for path in paths if is_present(path)), None)
     if path is None:
         return {}
-    found = _read(path)
-    kind, main = found.get("dataproduct_type", ""), found.get("hats_primary_table_url", "")
+    properties = _read(path)
+    kind, main = properties.get("dataproduct_type", ""), properties.get("hats_primary_table_url", "")
     if kind in NO_TARGETS:
         remedy = f"; open the main table, {main}" if main else ""
         raise InputError(f"{path}: dataproduct_type must be object, got {kind}, which means {NO_TARGETS[kind]}{remedy}")
     if kind == "source":
         warn(f"{path}: dataproduct_type is source: each detection of an object is planned as a separate target")
-    frame = found.get("hats_frame", "equatorial")
+    frame = properties.get("hats_frame", "equatorial")
     if frame.lower() not in ("equatorial", "icrs", ""):
         raise InputError(f"{path}: hats_frame must be equatorial, because pixels must be in ICRS, got {frame}")
-    if "hats_coordinate_epoch" in found:
-        to_time(found["hats_coordinate_epoch"], f"{path}: hats_coordinate_epoch")
-    return found
+    if "hats_coordinate_epoch" in properties:
+        to_time(properties["hats_coordinate_epoch"], f"{path}: hats_coordinate_epoch")
+    return properties
 
 
-def columns_and_rows(found: dict[str, str]) -> tuple[dict[str, str], str | None]:
+def columns_and_rows(known: dict[str, str]) -> tuple[dict[str, str], str | None]:
     """Return the column of each role that the properties name, and the number of rows (None if it is not stated)."""
-    columns = {role: next((found[name] for name in names if name in found), "") for role, names in NAMED.items()}
-    return {role: name for role, name in columns.items() if len(name.split()) == 1}, found.get("hats_nrows")
+    columns = {role: next((known[name] for name in names if name in known), "") for role, names in NAMED.items()}
+    return {role: name for role, name in columns.items() if len(name.split()) == 1}, known.get("hats_nrows")
 
 
 def _read(path: Path) -> dict[str, str]:
@@ -177,8 +177,8 @@ class PartitionedCatalog:
             raise InputError(f"{self.folder} must contain partitions {files}, got a folder without partitions")
         object.__setattr__(self, "properties", properties_of(self.folder, self.parts.files[0][2]))
         named, said = columns_and_rows(self.properties)
-        for name, found in (("columns", self.parts.existing(named)), ("units", {}), ("fill", {})):
-            object.__setattr__(self, name, {**found, **(getattr(self, name) or {})})
+        for name, default in (("columns", self.parts.existing(named)), ("units", {}), ("fill", {})):
+            object.__setattr__(self, name, {**default, **(getattr(self, name) or {})})
         self.parts.refuse_overlaps()
         self.parts.finder.warn_of_doubt()
         self.parts.names, self.parts.rows  # noqa: B018  (raises an error if columns are missing)
@@ -288,6 +288,7 @@ def partition_catalog(
     columns = {f"_healpix_{INDEX_ORDER}": fine[along]}
     columns.update((name, np.asarray(getattr(table[name], "value", table[name]))) for name in table.colnames)
     content = pa.table(columns, metadata=unit_metadata(table))
+    # in the nested scheme, each lower order removes two bits
     pixel = fine[along] >> 2 * (INDEX_ORDER - order)
     pixels, first = np.unique(pixel, return_index=True)
     with temporary_folder(folder) as temporary:

@@ -21,6 +21,7 @@ from rfpsurvey.errors import InputError, listed
 PART = re.compile(r"Norder=(\d+)/(?:Dir=\d+/)?Npix=(\d+)(?:\.parquet|/.+)$")
 ROLES = tuple(role for role in COLUMN_ROLES if role not in ("positioner", "x", "y"))
 INDEX_ORDER = 29
+# Allowance for rounding errors of angles on the sky.
 SLACK_RAD = 1e-9
 
 
@@ -39,21 +40,21 @@ class Partitions:
     @cached_property
     def files(self) -> list[tuple[int, int, Path]]:
         """HEALPix order, pixel and file of each partition, sorted by the position of the pixel in the nested scheme."""
-        found = []
+        parts = []
         for path in sorted(self.catalog.folder.rglob("*")):
             match = PART.search(path.relative_to(self.catalog.folder).as_posix())
             if match and not path.is_dir() and path.suffix == ".parquet" and not path.name.startswith(("_", ".")):
                 check_is_file(path)
-                found.append((int(match[1]), int(match[2]), path))
-        tops = sorted({path.as_posix().partition("/Norder=")[0] for *_, path in found})
+                parts.append((int(match[1]), int(match[2]), path))
+        tops = sorted({path.as_posix().partition("/Norder=")[0] for *_, path in parts})
         if len(tops) > 1:
             raise InputError(
                 f"{self.catalog.folder} must contain one catalog, got partitions in {tops[0]} and {tops[1]}; open the "
                 "folder of one catalog"
             )
-        if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in found):
+        if any(order > INDEX_ORDER or pixel >= 12 << 2 * order for order, pixel, _ in parts):
             raise InputError(f"{self.catalog.folder}: a partition has an impossible order or pixel")
-        return sorted(found, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
+        return sorted(parts, key=lambda part: (part[1] << 2 * (INDEX_ORDER - part[0]), part[2]))
 
     def refuse_overlaps(self) -> None:
         """Raise an error if the pixels of two partitions overlap, because a target could then occur in both."""
@@ -61,12 +62,13 @@ class Partitions:
         begin = pixels << 2 * (INDEX_ORDER - orders)
         end = (pixels + 1) << 2 * (INDEX_ORDER - orders)
         same = (np.diff(orders) == 0) & (np.diff(pixels) == 0)  # one pixel may have several files
+        # a large pixel can overlap more than the next partition
         bad = np.flatnonzero((begin[1:] < np.maximum.accumulate(end)[:-1]) & ~same)
         if len(bad):
-            one, other = (self.files[k] for k in (bad[0], bad[0] + 1))
+            first, second = (self.files[k] for k in (bad[0], bad[0] + 1))
             raise InputError(
-                f"{self.catalog.folder}: partitions must not overlap, but Norder={one[0]}/Npix={one[1]} and "
-                f"Norder={other[0]}/Npix={other[1]} do"
+                f"{self.catalog.folder}: partitions must not overlap, but Norder={first[0]}/Npix={first[1]} and "
+                f"Norder={second[0]}/Npix={second[1]} do"
             )
 
     @cached_property
@@ -193,12 +195,12 @@ class Partitions:
         """Return a digest of the parameters of the catalog and of the stored bytes of all columns that are read."""
         about = sorted(self.catalog.columns.items()), sorted(self.catalog.units.items()), self.catalog.frame
         about += (sorted(self.catalog.fill.items()),) if self.catalog.fill else ()
-        found = hashlib.sha256(repr(about).encode())
+        digest = hashlib.sha256(repr(about).encode())
         for order, pixel, path in self.files:
-            found.update(f"{order}/{pixel}".encode())
+            digest.update(f"{order}/{pixel}".encode())
             with reading(path, "parquet"):
-                add_stored_columns(found, path, self.names)
-        return found.hexdigest()[:16]
+                add_stored_columns(digest, path, self.names)
+        return digest.hexdigest()[:16]
 
     @cached_property
     def _has_no_id(self) -> bool:

@@ -43,22 +43,14 @@ class SurveyFormat(NamedTuple):
     """The format of a target table of a survey."""
 
     name: str
-    columns: dict
-    """Name of the column with each role; a leading minus reverses the sign of its numbers."""
-    bits: str | None = None
-    """Name of the column ``DESI_TARGET``, whose bits state the kind of each target."""
-    stars: str | None = None
-    """Name of the column ``MWS_TARGET``, whose bits state further standard stars."""
-    marks: tuple = ()
-    """Names of the columns by which the format is recognized, or that are read, besides the columns with a role."""
-    times: bool = False
-    """Whether the column of visits contains exposure times."""
-    exposure: str = ""
-    """Name of the column with the time of one exposure."""
-    mode: str = ""
-    """Name of the column that must have one value, because targets with different values cannot share a tile."""
-    doubt: str = ""
-    """Text of a warning, if a column of the format is missing."""
+    columns: dict  # name of the column with each role; a leading minus reverses the sign of its numbers
+    bits: str | None = None  # name of the column ``DESI_TARGET``, whose bits state the kind of each target
+    stars: str | None = None  # name of the column ``MWS_TARGET``, whose bits state further standard stars
+    marks: tuple = ()  # names of further columns by which the format is recognized, or that are read
+    times: bool = False  # whether the column of visits contains exposure times
+    exposure: str = ""  # name of the column with the time of one exposure
+    mode: str = ""  # name of the column whose values must be equal, because its targets cannot share a tile
+    doubt: str = ""  # text of a warning, if a column of the format is missing
 
 
 def find_format(names: Iterable[str]) -> SurveyFormat | None:
@@ -73,14 +65,14 @@ def _desi(lower: dict) -> SurveyFormat | None:
     if bits is None and not lower.keys() & {"priority_init", "numobs_init", "numobs_more"}:
         return None
     start, current = ("priority_init", "numobs_init"), ("priority", "numobs_more")
-    pair, other = (current, start) if lower.keys() & set(current) else (start, current)
+    pair, other_pair = (current, start) if lower.keys() & set(current) else (start, current)
     columns = {role: lower[name] for role, name in zip(("priority", "visits"), pair, strict=True) if name in lower}
     doubt = ""
-    lacking = [k for k in (0, 1) if pair[k] not in lower and other[k] in lower]
+    lacking = [k for k in (0, 1) if pair[k] not in lower and other_pair[k] in lower]
     if lower.keys() & {"visits", "n_visits", "nvisits"}:  # added by the user
         columns.pop("visits", None)
     elif lacking and columns:
-        used, unused = next(iter(columns.values())), lower[other[lacking[0]]]
+        used, unused = next(iter(columns.values())), lower[other_pair[lacking[0]]]
         doubt = f"the table has the column {used} but not {pair[lacking[0]].upper()}; {unused} is not used instead, "
         doubt += f"because {used} and {unused} describe different times of a survey"
     if "targetid" in lower:
@@ -94,13 +86,13 @@ def _sdssv(lower: dict) -> SurveyFormat | None:
     typical = [name for name in lower if name in SDSSV_COLUMNS]
     identifiers = ("catalogid", "rsid", *(typical if len(typical) > 3 else ()))
     groups = (identifiers, ("fibertype", "fiber_type", "instrument"), ("cadence", "category", "carton", "cartonname"))
-    found = [next((lower[name] for name in group if name in lower), None) for group in groups]
+    marks = [next((lower[name] for name in group if name in lower), None) for group in groups]
     # rfpsurvey writes priorities with the sign that it uses, and names the identifiers id or target_id
-    if "priority" not in lower or None in found or lower.keys() & {"id", "target_id"}:
+    if "priority" not in lower or None in marks or lower.keys() & {"id", "target_id"}:
         return None
     offsets = ("delta_ra", "delta_dec")
     columns = {name: lower[name] for name in offsets} if lower.keys() >= {*offsets} else {}
-    return SurveyFormat(f"{SDSSV} candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(found))
+    return SurveyFormat(f"{SDSSV} candidates", {"priority": f"-{lower['priority']}"} | columns, marks=tuple(marks))
 
 
 def _pfs(lower: dict) -> SurveyFormat | None:
@@ -110,8 +102,8 @@ def _pfs(lower: dict) -> SurveyFormat | None:
         return None
     marks = tuple(lower[name] for name in ("ob_code", "exptime", "single_exptime", "resolution") if name in lower)
     columns = {"priority": f"-{lower['priority']}", "visits": lower["exptime"]}
-    own = {"ra": "ra", "dec": "dec", "pmra": "pmra", "pmdec": "pmdec", "epoch": "epoch", "id": "obj_id"}
-    columns |= {role: lower[name] for role, name in own.items() if lower.get(name, "").lower().startswith("ob_")}
+    names = {"ra": "ra", "dec": "dec", "pmra": "pmra", "pmdec": "pmdec", "epoch": "epoch", "id": "obj_id"}
+    columns |= {role: lower[name] for role, name in names.items() if lower.get(name, "").lower().startswith("ob_")}
     columns |= {} if lower.keys() & {"obj_id", "objid"} else {"id": lower["ob_code"]}
     times = not lower.keys() & {"visits", "n_visits", "nvisits"}  # added by the user
     if not times:
@@ -166,8 +158,8 @@ def shifted(coord: SkyCoord, offsets: list[u.Quantity]) -> tuple[SkyCoord, int]:
 
     The offsets are angles on the sky toward east and north (robostrategy).
     """
-    east, north = (np.where(np.abs(one) <= MOST_OFFSET, one, 0 * u.arcsec) for one in offsets)
-    large = np.any([(np.abs(one) > MOST_OFFSET) & ~np.isin(one.value.round(2), NO_OFFSET) for one in offsets], axis=0)
+    east, north = (np.where(np.abs(offset) <= MOST_OFFSET, offset, 0 * u.arcsec) for offset in offsets)
+    large = np.any([(np.abs(d) > MOST_OFFSET) & ~np.isin(d.value.round(2), NO_OFFSET) for d in offsets], axis=0)
     if large.any():
         text = f"delta_ra and delta_dec must be at most {MOST_OFFSET:g}, got larger values in {rows_of(large)}"
         warn(f"{text}, which are not added to the positions")
@@ -193,8 +185,8 @@ def kinds_and_visits(bits: np.ndarray, stars: np.ndarray, visits: np.ndarray | N
     """
     visits = np.ones(len(bits)) if visits is None else visits
     standard, wanted = ((bits | stars) & STANDARD) != 0, ((bits & SCIENCE) != 0) & (visits > 0)
-    unusable, both = is_unusable(bits), standard & wanted
+    unusable, has_both = is_unusable(bits), standard & wanted
     kind = np.where(standard & ~wanted, "standard", np.where((bits & SKY) != 0, "sky", "science"))
-    kind = np.where(both, "science+standard", kind) if both.any() else kind
+    kind = np.where(has_both, "science+standard", kind) if has_both.any() else kind
     kind[unusable] = "science"
     return kind, np.where(unusable, 0, np.where(has_role(kind, "science"), visits, 1))

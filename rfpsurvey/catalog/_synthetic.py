@@ -200,8 +200,8 @@ def _clustered(rng, cap, expected, *, cluster_size, cluster_scale, **_):
     helper = np.where(np.abs(parents[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
     across = np.cross(parents, helper)
     across /= np.linalg.norm(across, axis=1, keepdims=True)
-    other = np.cross(parents, across)
-    direction = np.cos(azimuth)[:, None] * across + np.sin(azimuth)[:, None] * other
+    perpendicular = np.cross(parents, across)
+    direction = np.cos(azimuth)[:, None] * across + np.sin(azimuth)[:, None] * perpendicular
     points = np.cos(distance)[:, None] * parents + np.sin(distance)[:, None] * direction
     inside = np.sum((points - [0, 0, 1]) ** 2, axis=1) <= (2 * np.sin(cap / 2)) ** 2
     return points[inside]

@@ -35,7 +35,7 @@ def read_columns(table: Table, columns, units, frame, fill, keep, select=None, *
     option, default units are assumed only if no column of positions or proper motions has a unit. A warning is then
     issued, except for tables that cannot have units, such as DataFrames, and for tables of surveys.
     """
-    columns, units, fill = ({} if one is None else one for one in (columns, units, fill))
+    columns, units, fill = ({} if mapping is None else mapping for mapping in (columns, units, fill))
     table, is_plain = as_table(table, columns)
     table, ledger = _last_entries(table)
     table, selected = select_rows(table, select)
@@ -97,6 +97,7 @@ def _last_entries(table: Table) -> tuple[Table, str]:
     if name is None or format_ is None or format_.name != "DESI ledger":
         return table, ""
     ids = to_labels(table[name], f"column {name!r}")
+    # the first entry in reverse order
     last = len(ids) - 1 - np.unique(ids[::-1], return_index=True)[1]
     if len(last) == len(ids):
         return table, ""
@@ -162,8 +163,8 @@ def _names_in_results(table, columns, frame):
     roles = ["id", "priority", "kind", "category"]
     roles += ["ra", "dec"] if frame.lower() == "icrs" and not has_coordinates else []
     find = Finder(table, columns)
-    found = {role: find.name_of(role) for role in roles if not find.columns.get(role, "").startswith("-")}
-    return {name for role, name in found.items() if name and name.lower() in (role, "target_id")}
+    names = {role: find.name_of(role) for role in roles if not find.columns.get(role, "").startswith("-")}
+    return {name for role, name in names.items() if name and name.lower() in (role, "target_id")}
 
 
 def has_units(table: Table) -> bool:
@@ -232,21 +233,21 @@ def _angle(find: Finder, role: str, unit: u.UnitBase) -> u.Quantity:
     """Return the column with this role in degrees; ``unit`` is the unit of sexagesimal text that states no unit."""
     if not find.is_text(role):
         return find.quantity(role)
-    own, texts = find.unit_of(role), find.texts(role)
-    unit = own if own is not None and own.is_equivalent(u.deg) else unit
+    column_unit, texts = find.unit_of(role), find.texts(role)
+    unit = column_unit if column_unit is not None and column_unit.is_equivalent(u.deg) else unit
     there = texts != ""
     angles = np.full(len(texts), np.nan)
-    decimal = [text for text in texts[there].tolist() if is_number(text)] if own is None else []
+    decimal = [text for text in texts[there].tolist() if is_number(text)] if column_unit is None else []
     try:
         if decimal:
             raise ValueError("this is neither of them")
         angles[there] = Angle(texts[there].tolist(), unit).to_value(u.deg)
     except ValueError as error:
         what = f"column {find.name_of(role)!r} ({role}) must hold decimal numbers or sexagesimal text"
-        others = [text for text in texts[there].tolist() if not is_number(text)]
-        text = _not_an_angle(others, unit)
+        not_decimal = [text for text in texts[there].tolist() if not is_number(text)]
+        text = _not_an_angle(not_decimal, unit)
         if decimal and not text:
-            raise InputError(f"{what}, the same in all rows, got {decimal[0]!r} and {others[0]!r}") from None
+            raise InputError(f"{what}, the same in all rows, got {decimal[0]!r} and {not_decimal[0]!r}") from None
         remedy = "; replace the decimal comma with a point" if text.replace(",", "", 1).isdecimal() else f": {error}"
         raise InputError(f"{what}, got {text!r}{remedy}") from error
     return angles * u.deg

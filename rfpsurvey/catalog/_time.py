@@ -18,43 +18,43 @@ FIRST, LAST = 1700, 2300
 DATED = Time, date, np.datetime64
 
 
-def to_time(value: object, name: str, *, gaps: bool = False, one: bool = False) -> Time:
+def to_time(value: object, name: str, *, gaps: bool = False, scalar: bool = False) -> Time:
     """Convert a Time, a date, a Julian year, or text with a date or a Julian year, to a Time.
 
-    With ``gaps``, some times may be masked. With ``one``, the value must be a single time.
+    With ``gaps``, some times may be masked. With ``scalar``, the value must be a single time.
     """
     try:
-        found = _of_date(value)
-        found = _of_years(_as_number(value)) if found is None else found
+        time = _of_date(value)
+        time = _of_years(_as_number(value)) if time is None else time
     except INCONVERTIBLE:
         text = (
             f"{name} must be a Time, a Julian year from {FIRST} to {LAST} such as 2026.5, or a date such as 2026-07-01"
         )
         raise refusal(text, value, Number, str, u.Quantity, np.ndarray, list) from None
-    if one and not found.isscalar:
-        raise InputError(f"{name} must be one time, got the shape {found.shape}")
-    if not gaps and np.any(found.mask):
+    if scalar and not time.isscalar:
+        raise InputError(f"{name} must be one time, got the shape {time.shape}")
+    if not gaps and np.any(time.mask):
         raise InputError(f"{name} must not have masked values, got {short(value)}")
-    return found
+    return time
 
 
 def to_moment(value: object, name: str) -> Time:
     """Convert a Time, or a date and time (UTC) as a datetime or as text, to one Time."""
     text = f"{name} must be a date and time (UTC) such as 2026-07-01T06:30:00"
     try:
-        found = _of_date(value)
-        found = None if isinstance(value, str) and found.format == "byear_str" else found
+        time = _of_date(value)
+        time = None if isinstance(value, str) and time.format == "byear_str" else time
     except (ValueError, TypeError, AttributeError):
-        found = None
-    if found is None:
+        time = None
+    if time is None:
         year = _as_number(value)
         known = is_real(year) and FIRST < year < LAST
         remedy = f"; the Julian year {year} is {_of_years(year).utc.isot[:16]} in this form" if known else ""
         raise refusal(f"{text}{remedy}", value, Number, str)
-    if not found.isscalar or found.mask:
-        what = "a masked value" if found.isscalar else f"the shape {found.shape}"
+    if not time.isscalar or time.mask:
+        what = "a masked value" if time.isscalar else f"the shape {time.shape}"
         raise InputError(f"{text}, got {what}")
-    return found
+    return time
 
 
 def _of_date(value: object) -> Time | None:
@@ -89,6 +89,7 @@ def _of_years(value: object) -> Time:
     years = np.asarray(getattr(value, "unmasked", value), dtype=float)
     if not ((years > FIRST) & (years < LAST) | missing).all():
         raise ValueError
+    # a masked year must be a valid year as well
     years = Masked(np.where(missing, 2000.0, years), mask=missing) if missing.any() else years
     return Time(years, format="jyear", scale="tcb")
 
@@ -197,7 +198,7 @@ def choose_epoch(
     str or None
         The sentence; None if the targets have no proper motions, or only proper motions of 0.
     """
-    asked = None if epoch is None else to_time(epoch, "epoch", one=True)
+    asked = None if epoch is None else to_time(epoch, "epoch", scalar=True)
     if not catalog.has_proper_motion or (whole and not moving(catalog.coord).any()):
         if epoch is not None:
             warn("the epoch has no effect, because the targets have no proper motions")
@@ -211,8 +212,8 @@ def choose_epoch(
     if epoch is not None:
         text = f"the targets are moved to {epoch_text(asked)}, the requested epoch"
     else:
-        own = "unknown" if catalog.epoch is None else epoch_text(catalog.epoch)
-        text = f"the targets are at the epoch of the catalog ({own}), although they have proper motions"
+        catalog_epoch = "unknown" if catalog.epoch is None else epoch_text(catalog.epoch)
+        text = f"the targets are at the epoch of the catalog ({catalog_epoch}), although they have proper motions"
         text += f" of up to {fastest:.4g}" if whole else ""
     if times is not None and asked is not None:
         moved = (fastest * np.max(np.abs((times.tdb - asked.tdb).to(u.yr)))).to(u.arcsec)

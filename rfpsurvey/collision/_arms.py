@@ -20,22 +20,15 @@ class Arms:
     An arm is absent if its positioner can move, has no target, and is not a parked obstacle.
     """
 
-    find_angles: Callable[[], np.ndarray] | None
-    """Function that returns the joint angles theta and phi, shape (2, n); called at the first use of the angles."""
+    find_angles: Callable[[], np.ndarray] | None  # joint angles theta and phi, shape (2, n); called at first use
     elbow: np.ndarray
     tip: np.ndarray
-    segments: np.ndarray
-    """Segments of the arms that can collide, as rows (x0, y0, x1, y1)."""
-    assigned: np.ndarray
-    """Whether each positioner has a target."""
-    parked: np.ndarray
-    """Whether each positioner is an obstacle: it is usable, has no target, and is parked or has a known pose."""
-    clipped: np.ndarray
-    """Whether the target of each positioner is out of reach, because of its distance or because of joint limits."""
-    fiber: np.ndarray | None = None
-    """Index of the fiber type that each positioner uses; None if all fibers of a positioner are at the same place."""
-    recorded: np.ndarray | None = None
-    """Whether each positioner has no target and is in a known pose (``idle_angles``); None if no poses are known."""
+    segments: np.ndarray  # segments of the arms that can collide, as rows (x0, y0, x1, y1)
+    assigned: np.ndarray  # whether each positioner has a target
+    parked: np.ndarray  # whether each positioner is an obstacle: usable, without target, parked or in a known pose
+    clipped: np.ndarray  # whether the target of each positioner is out of reach, by distance or joint limits
+    fiber: np.ndarray | None = None  # index of the fiber type in use; None if all fibers are at one place
+    recorded: np.ndarray | None = None  # whether each positioner is idle in a known pose (``idle_angles``)
 
     @cached_property
     def _angles(self) -> np.ndarray:
@@ -117,8 +110,8 @@ def _solve(columns, points, side):
 def _with_idle(find_angles, assigned, idle):
     """Return the joint angles of all positioners; positioners without a target have the angles of idle arms."""
     angles = find_angles()
-    for own, other in zip(angles, (idle.theta, idle.phi), strict=True):
-        np.copyto(own, other, where=~assigned)
+    for angle, idle_angle in zip(angles, (idle.theta, idle.phi), strict=True):
+        np.copyto(angle, idle_angle, where=~assigned)
     return angles
 
 
@@ -258,6 +251,7 @@ def _cells(points, rows):
     """
     low = points.min(axis=1, initial=np.inf) if len(rows) else np.zeros(2)
     wide, high = np.ptp(points, axis=1) if len(rows) else np.ones(2)
+    # the second length limits the number of cells of points on a line, and the third that of equal points
     size = max(np.sqrt(wide * high / max(len(rows), 1)), max(wide, high) / (len(rows) + 1), 1e-6)
     nx, ny = int(wide / size) + 1, int(high / size) + 1
     column, row = np.minimum(((points - low[:, None]) / size).astype(int), [[nx - 1], [ny - 1]])

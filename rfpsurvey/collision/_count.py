@@ -145,7 +145,7 @@ def count_collisions(
     array([1, 0])
     """
     check_plane(focal_plane)
-    able = [name for name, one in METHODS.items() if one.chunk]
+    able = [name for name, method in METHODS.items() if method.chunk]
     chosen = METHODS[check_choice(method, able, "method of counting collisions")]
     if hasattr(tips, "target_of_positioner"):
         if not (handedness is fiber_type is None):
@@ -191,6 +191,7 @@ def _score_tips(columns, side, scorer, tips, start):
     if not is_free:
         side = np.array([columns.sides(row) if side is None else side[0] for row in points])
     counts, times, far = scorer(points, side)
+    # compiled code only counts the tips out of reach; the message names the first of them
     for c, row in enumerate(points if far or not is_free else ()):
         try:
             check_tips(columns, row, side[min(c, len(side) - 1)])
@@ -279,16 +280,16 @@ def queue_segments(plane, allocation):
     The segment is the segment of the arm that can collide if the positioner of the queue observes the target.
     """
     indptr, target = allocation.queues
-    own = np.repeat(np.arange(len(plane)), np.diff(indptr))
+    owner = np.repeat(np.arange(len(plane)), np.diff(indptr))
     points = allocation.xy_mm[target]
-    columns, fiber = plane.arrays, plane.arrays.first_index[own]
+    columns, fiber = plane.arrays, plane.arrays.first_index[owner]
     if allocation.target_fiber_type is not None:
-        fiber = columns.index_of(allocation.target_fiber_type[target], own)
-    far = np.empty(len(own), dtype=bool)
-    geometry, bounds = columns.geometry_of(own, fiber), columns.bounds_of(own, fiber)
+        fiber = columns.index_of(allocation.target_fiber_type[target], owner)
+    far = np.empty(len(owner), dtype=bool)
+    geometry, bounds = columns.geometry_of(owner, fiber), columns.bounds_of(owner, fiber)
     if arms.check(points, geometry, bounds, np.empty_like(far), far):
         raise InputError(f"the allocation is for another focal plane: {int(far.sum())} of its targets are out of reach")
-    return indptr, columns.segments_of(own, fiber, points)
+    return indptr, columns.segments_of(owner, fiber, points)
 
 
 def make_setup(columns, parked_obstacles) -> batch.CollisionSetup:

@@ -109,6 +109,7 @@ def _placed_vertices(outline, i, core):
 
 def _polygons_closer(first, second, limit, *, closed=False):
     """Return whether two convex polygons overlap or are closer than ``limit``; if ``closed``, also at the limit."""
+    # the line through an edge separates two convex polygons that do not overlap; two points have no edge
     if len(first) + len(second) > 2 and not (_separated(first, second) or _separated(second, first)):
         return True
     sides = (product(first, _edges(second)), product(second, _edges(first)))

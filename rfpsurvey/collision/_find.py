@@ -106,7 +106,7 @@ def find_collisions(
     chosen = METHODS[check_choice(method, METHODS, "collision method")]
     check_plane(focal_plane)
     if focal_plane.positioner.outline is not None and not chosen.supports_outlines:
-        able = " or ".join(repr(name) for name, one in METHODS.items() if one.supports_outlines)
+        able = " or ".join(repr(name) for name, method in METHODS.items() if method.supports_outlines)
         raise InputError(f"the method for arms with an outline must be {able}, got {method!r}")
     check_whole(n_points, "n_points", 2, MOST_POINTS)
     given = {"theta": theta, "phi": phi, "handedness": handedness, "fiber_type": fiber_type}
@@ -181,6 +181,7 @@ def obstacle_tests(pairs: np.ndarray, owner: np.ndarray) -> np.ndarray:
     first = np.searchsorted(pairs[:, 0], np.arange(owner.max(initial=-1) + 2))
     size = first[owner + 1] - first[owner]
     arm = np.repeat(np.arange(len(owner)), size)
+    # place of each pair among the pairs of its arm
     offset = np.arange(len(arm)) - np.repeat(np.cumsum(size) - size, size)
     return np.column_stack([arm, pairs[np.repeat(first[owner], size) + offset, 1]])
 
@@ -198,6 +199,7 @@ def touching(plane, segments, pairs, owner=None):
     n = collisions.colliding_obstacles(segments, owner, limits, pairs, circles, clearance, slack, hits, distances)
     hits, distances = hits[:n], distances[:n]
     radius = np.append(circles[:, 2], np.zeros(len(plane.arrays.obstacle_polygons)))[hits[:, 1]]
+    # rounding could change the result for these pairs
     edge = np.flatnonzero(distances >= radius + clearance - slack)
     keep = np.ones(n, dtype=bool)
     for k in edge:

@@ -20,13 +20,13 @@ def find_pairs(segments, pairs, limits):
     """Return (first, second, squared distance) of all pairs of arms that collide or are borderline."""
     _require_device()
     first, second = (cuda.to_device(np.ascontiguousarray(p)) for p in pairs.T)
-    found, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
+    kept, squared = cuda.device_array(len(pairs), np.int64), cuda.device_array(len(pairs), np.float64)
     n = cuda.to_device(np.zeros(1, dtype=np.int64))
     blocks = -(-len(pairs) // gpu.THREADS)
     reject2, limit = (limits.separation + limits.slack) ** 2, collisions.squared_limit(limits) + limits.band
-    gpu.list_pairs[blocks, gpu.THREADS](cuda.to_device(segments), first, second, reject2, limit, found, squared, n)
+    gpu.list_pairs[blocks, gpu.THREADS](cuda.to_device(segments), first, second, reject2, limit, kept, squared, n)
     n = int(n.copy_to_host()[0])
-    rows = found.copy_to_host()[:n]
+    rows = kept.copy_to_host()[:n]
     return pairs[rows, 0], pairs[rows, 1], squared.copy_to_host()[:n]
 
 

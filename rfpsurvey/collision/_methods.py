@@ -18,11 +18,9 @@ class Configuration:
     """One configuration of all arms, in which a method finds the colliding pairs."""
 
     plane: FocalPlane
-    segments: np.ndarray
-    """Segments that can collide, as columns, shape (4, n)."""
+    segments: np.ndarray  # segments that can collide, as columns, shape (4, n)
     n_points: int
-    poses: Callable[[], Arms]
-    """Function that returns the poses of all arms; only a few methods call it."""
+    poses: Callable[[], Arms]  # function that returns the poses of all arms; only a few methods call it
 
 
 class Found(NamedTuple):
@@ -38,18 +36,12 @@ class Found(NamedTuple):
 class CollisionMethod(Method):
     """A method that finds colliding pairs; the function takes a `Configuration` and returns a `Found`."""
 
-    supports_outlines: bool = False
-    """Whether arms may have outlines."""
-    device: str = "CPU"
-    """Device that computes the distances."""
+    supports_outlines: bool = False  # whether arms may have outlines
+    device: str = "CPU"  # device that computes the distances
+    # number of configurations per task of `count_collisions`; 0 if the method cannot count many of them; random draws
+    # depend on it, but not on the number of workers; for 4000 positioners, 2048 configurations on a GPU use 256 MB
     chunk: int = 0
-    """Number of configurations per task of `count_collisions`; 0 if the method cannot count many configurations.
-
-    Random draws depend on this number, but not on the number of workers. For 4000 positioners, 2048 configurations on a
-    GPU use 256 MB of memory.
-    """
-    numbers_of_points: tuple[int, ...] = ()
-    """Values of ``n_points`` for which a benchmark measures the method; empty if the method does not use points."""
+    numbers_of_points: tuple[int, ...] = ()  # values of ``n_points`` that a benchmark measures; empty without points
 
 
 def exact(case: Configuration) -> Found:
@@ -112,8 +104,8 @@ def scipy(case: Configuration) -> Found:
     for k in range(len(first)):
         p, q = case.segments[:, first[k]].reshape(2, 2), case.segments[:, second[k]].reshape(2, 2)
         matrix, offset = np.column_stack([p[1] - p[0], q[0] - q[1]]), q[0] - p[0]
-        found = lsq_linear(matrix, offset, bounds=(0, 1), method="bvls", tol=1e-14)
-        distances[k] = np.hypot(*(matrix @ found.x - offset))
+        solution = lsq_linear(matrix, offset, bounds=(0, 1), method="bvls", tol=1e-14)
+        distances[k] = np.hypot(*(matrix @ solution.x - offset))
     return keep_closer(case, first, second, distances)
 
 

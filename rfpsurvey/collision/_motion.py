@@ -60,9 +60,9 @@ class MotionReport:
     @property
     def needs_planner(self) -> np.ndarray:
         """Whether each positioner can reach its target only on a path that a path planner finds, if at all."""
-        found = self.blocked.copy()
-        found[self.pairs] = found[self.touching] = found[self.obstacle_pairs[:, 0]] = True
-        return found
+        needs = self.blocked.copy()
+        needs[self.pairs] = needs[self.touching] = needs[self.obstacle_pairs[:, 0]] = True
+        return needs
 
     @property
     def n_planner(self) -> int:
@@ -147,17 +147,17 @@ def find_motion(
     idle = _moves.idle_moves(columns, parked_obstacles)
     turning = _moves.Turning(columns, idle)
     given = [arms] if before is None else [arms, before]
-    parts = [_motion_of(focal_plane, one, idle, turning, law == "same_speed") for one in given]
+    parts = [_motion_of(focal_plane, configuration, idle, turning, law == "same_speed") for configuration in given]
     pairs = [_moves.unfolding_pairs(focal_plane, moves, law == "same_speed") for moves, *_ in parts]
-    own, near = np.arange(len(focal_plane)), columns.obstacle_pairs
-    hits = [near[_moves.unfolding_obstacles(focal_plane, moves, own, near)] for moves, *_ in parts]
+    owner, near = np.arange(len(focal_plane)), columns.obstacle_pairs
+    hits = [near[_moves.unfolding_obstacles(focal_plane, moves, owner, near)] for moves, *_ in parts]
     theta, moved = parts[0][1], np.any([part[2] for part in parts], axis=0)
-    free = turning.allows(own, theta, None if before is None else parts[1][1])
+    free = turning.allows(owner, theta, None if before is None else parts[1][1])
     if before is not None:  # an arm with limits of phi that changes its elbow would have to pass its stretched pose
         free &= ~(parts[0][2] & parts[1][2] & (np.abs(parts[0][3] - parts[1][3]) > SAME_FOLD))
     touching = turning.folded.touching
     touching = touching[moved[touching].any(axis=1)]
-    unique = (np.unique(np.vstack(one), axis=0) for one in (pairs, hits))
+    unique = (np.unique(np.vstack(rows), axis=0) for rows in (pairs, hits))
     joint = columns.to_joints(np.where(np.isnan(parts[0][0].x), np.nan, theta), np.zeros(len(theta)))[0]
     return MotionReport(*unique, moved & ~free & columns.usable, touching, np.rad2deg(joint) << u.deg, law)
 
@@ -178,17 +178,17 @@ def _motion_of(plane, given, idle, turning, same_speed):
     posed = given if isinstance(given, Arms) else place_arms(plane, given)
     check_arms(plane, posed)
     columns = plane.arrays.using(posed.fiber)
-    own, fiber = np.arange(len(plane)), columns.fiber_index
+    owner, fiber = np.arange(len(plane)), columns.fiber_index
     theta, phi = (np.array(value, dtype=float) for value in columns.from_joints(posed.theta, posed.phi))
     moved = posed.assigned | (False if posed.recorded is None else posed.recorded)
-    moves = _moves.find_moves(columns, own, fiber, theta, _moves.split_phi(columns, phi), moving=columns.usable)
-    fold = _moves.fold_of(columns, own, fiber, _moves.split_phi(columns, phi), moves.turn)
+    moves = _moves.find_moves(columns, owner, fiber, theta, _moves.split_phi(columns, phi), moving=columns.usable)
+    fold = _moves.fold_of(columns, owner, fiber, _moves.split_phi(columns, phi), moves.turn)
     rows = np.flatnonzero(~moved)
-    others = _moves.joined(moves, rows, idle, rows)
+    idle_moves = _moves.joined(moves, rows, idle, rows)
     # folded idle arms are no obstacles for each other
-    others = others._replace(x=np.where(moved | ~_moves.stays_folded(columns, True), others.x, np.nan))
+    idle_moves = idle_moves._replace(x=np.where(moved | ~_moves.stays_folded(columns, True), idle_moves.x, np.nan))
     if np.isfinite(idle.x[columns.usable]).any():
-        idle = _moves.turn_idle_arms(columns, idle, turning, np.arange(len(plane) + 1), others, same_speed)
+        idle = _moves.turn_idle_arms(columns, idle, turning, np.arange(len(plane) + 1), idle_moves, same_speed)
     moves = _moves.joined(moves, rows, idle, rows)
     center = plane.arrays.xy
     direction = np.arctan2(moves.y - center[:, 1], moves.x - center[:, 0])

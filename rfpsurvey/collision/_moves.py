@@ -19,28 +19,29 @@ MOST = 4
 """Largest number of candidates of a positioner that are considered when the directions of idle arms are chosen."""
 
 
-def find_moves(columns, own, fiber, theta, phi, *, moving: np.ndarray | bool = True) -> motion.Moves:
+def find_moves(columns, owner, fiber, theta, phi, *, moving: np.ndarray | bool = True) -> motion.Moves:
     """Return the motion of arms from given angles, in the convention of the kernels, to the folded pose.
 
-    ``own`` and ``fiber`` are the rows of the positioners and the indices of the fiber types. Arms for which ``moving``
-    is false remain at the given angles.
+    ``owner`` and ``fiber`` are the rows of the positioners and the indices of the fiber types. Arms for which
+    ``moving`` is false remain at the given angles.
     """
-    geometry, outline = columns.geometry_of(own, fiber), columns.plane.positioner.outline
+    geometry, outline = columns.geometry_of(owner, fiber), columns.plane.positioner.outline
     has_axis = columns.model == arms.CAPSULE
-    offset = np.arctan2(*columns.angles_of(own, fiber)[::-1]) if has_axis else 0.0
-    length = np.full(len(own), columns.length) if has_axis else geometry.l2.copy()
-    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(own))
-    turn = np.where(moving, _to_fold(columns, own, fiber, phi, offset), 0.0)
+    offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else 0.0
+    length = np.full(len(owner), columns.length) if has_axis else geometry.l2.copy()
+    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(owner))
+    turn = np.where(moving, _to_fold(columns, owner, fiber, phi, offset), 0.0)
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
-    angle, reach = theta + phi + offset, length if outline is None else np.full(len(own), outline.reach[0])
-    circle, sector = np.empty((3, len(own))), np.empty((4, len(own)))
-    motion.enclose(x, y, angle, turn if outline is None else np.full(len(own), 2 * np.pi), reach, circle, sector)
+    angle, reach = theta + phi + offset, length if outline is None else np.full(len(owner), outline.reach[0])
+    circle, sector = np.empty((3, len(owner))), np.empty((4, len(owner)))
+    # the sector of an outline is a full circle, because the parts on the central arm are outside the eccentric sector
+    motion.enclose(x, y, angle, turn if outline is None else np.full(len(owner), 2 * np.pi), reach, circle, sector)
     if outline is not None:
         circle = _around_both(circle, geometry, outline.reach[1])
     return motion.Moves(x, y, angle, turn, inner, length, reach, circle, sector)
 
 
-def _to_fold(columns, own, fiber, phi, offset):
+def _to_fold(columns, owner, fiber, phi, offset):
     """Return the angle by which phi changes from its value at the target until the arm is folded.
 
     The folded arm lies over the central arm, or as close to it as the joint limits allow. ``phi`` is between -pi and
@@ -48,64 +49,67 @@ def _to_fold(columns, own, fiber, phi, offset):
     """
     side = np.where(np.signbit(phi), -1.0, 1.0)
     turn = side * np.pi - (phi + offset)
-    low, high, _ = phi_limits(columns, own, fiber)
+    low, high, _ = phi_limits(columns, owner, fiber)
     if np.isinf(low).all():
         return turn
-    joint = _joint_phi(columns, own, fiber, phi)
-    one, other = (np.clip(joint + way, low, high) - joint for way in (turn, turn - 2 * np.pi * side))
-    return np.where(np.cos(phi + offset + other) < np.cos(phi + offset + one) - MUCH, other, one)
+    joint = _joint_phi(columns, owner, fiber, phi)
+    direct, reverse = (np.clip(joint + way, low, high) - joint for way in (turn, turn - 2 * np.pi * side))
+    return np.where(np.cos(phi + offset + reverse) < np.cos(phi + offset + direct) - MUCH, reverse, direct)
 
 
-def _limits(columns, own, k, name):
+def _limits(columns, owner, k, name):
     if columns.joints is not None:
-        return columns.joints.limits[2 * k, own], columns.joints.limits[2 * k + 1, own]
+        return columns.joints.limits[2 * k, owner], columns.joints.limits[2 * k + 1, owner]
     given = getattr(columns.plane.positioner, name)
     low, high = (-np.inf, np.inf) if given is None else to_radian(given, name)
-    return np.full(len(own), low), np.full(len(own), high)
+    return np.full(len(owner), low), np.full(len(owner), high)
 
 
-def _within_theta(columns, own, theta):
+def _within_theta(columns, owner, theta):
     """Return whether joint angles theta, in the convention of the kernels, are within the joint limits."""
-    low, high = _limits(columns, own, 0, "theta_range")
-    zero = 0.0 if columns.joints is None else columns.joints.zeros(own, columns.first_index[own])[0]
+    low, high = _limits(columns, owner, 0, "theta_range")
+    zero = 0.0 if columns.joints is None else columns.joints.zeros(owner, columns.first_index[owner])[0]
     with np.errstate(invalid="ignore"):
+        # a rounding error at the lower limit must not add a full rotation
         return np.isinf(low) | (np.mod(theta - zero - low + 1e-9, 2 * np.pi) - 1e-9 <= high - low + 1e-9)
 
 
-def fold_of(columns, own, fiber, phi, turn):
+def fold_of(columns, owner, fiber, phi, turn):
     """Return the joint angle phi at which each arm is folded; 0 if phi has no limits."""
-    low, _, _ = phi_limits(columns, own, fiber)
-    return np.where(np.isinf(low), 0.0, _joint_phi(columns, own, fiber, phi) + turn)
+    low, _, _ = phi_limits(columns, owner, fiber)
+    return np.where(np.isinf(low), 0.0, _joint_phi(columns, owner, fiber, phi) + turn)
 
 
-def _joint_phi(columns, own, fiber, phi):
+def _joint_phi(columns, owner, fiber, phi):
     """Return the joint angle phi for phi in the convention of the kernels; within the limits, if there are limits."""
-    low, _, zero = phi_limits(columns, own, fiber)
+    low, _, zero = phi_limits(columns, owner, fiber)
     with np.errstate(invalid="ignore"):
+        # a rounding error at the lower limit must not add a full rotation
         joint = low + np.mod(phi - zero - low + 1e-12, 2 * np.pi) - 1e-12
     return np.where(np.isinf(low), phi - zero, joint)
 
 
-def phi_limits(columns, own, fiber):
+def phi_limits(columns, owner, fiber):
     """Return the joint limits of phi, and the value of phi in the convention of the kernels at the joint angle 0."""
-    zero = 0.0 if columns.joints is None else columns.joints.zeros(own, fiber)[1]
-    return *_limits(columns, own, 1, "phi_range"), zero
+    zero = 0.0 if columns.joints is None else columns.joints.zeros(owner, fiber)[1]
+    return *_limits(columns, owner, 1, "phi_range"), zero
 
 
 def _around_both(circle, geometry, radius):
     """Return circles that contain the given circles and the circles around the centers of the positioners."""
     dx, dy = circle[0] - geometry.cx, circle[1] - geometry.cy
     apart = np.hypot(dx, dy)
+    # the smallest circle around two circles, or the larger circle if it contains the other
     size = np.maximum(0.5 * (apart + radius + circle[2]), np.maximum(radius, circle[2]))
     part = np.clip((size - radius) / np.maximum(apart, 1e-300), 0.0, 1.0)
     return np.array([geometry.cx + part * dx, geometry.cy + part * dy, size])
 
 
-def solve_moves(columns, own, fiber, points, side) -> motion.Moves:
+def solve_moves(columns, owner, fiber, points, side) -> motion.Moves:
     """Return the motion of the arms with which positioners reach points (mm); ``side`` is 1 (right) or -1 (left)."""
-    theta, phi = np.empty((2, len(own)))
-    arms.solve(points, columns.geometry_of(own, fiber), side, theta, phi)
-    return find_moves(columns, own, fiber, theta, phi)
+    theta, phi = np.empty((2, len(owner)))
+    arms.solve(points, columns.geometry_of(owner, fiber), side, theta, phi)
+    return find_moves(columns, owner, fiber, theta, phi)
 
 
 def split_phi(columns, phi):
@@ -129,15 +133,15 @@ def idle_moves(columns, parked_obstacles: bool) -> motion.Moves:
     remain folded, at the theta of the parked pose. If ``parked_obstacles`` is false, they are absent.
     """
     first = columns.plane.arrays
-    own, fiber = np.arange(len(columns.plane)), first.first_index
+    owner, fiber = np.arange(len(columns.plane)), first.first_index
     home = np.where(first.is_stuck, first.stuck.T, first.home)
-    theta, phi = (np.array(v, dtype=float) for v in first.from_joints(*home, own, fiber))
+    theta, phi = (np.array(v, dtype=float) for v in first.from_joints(*home, owner, fiber))
     stays = stays_folded(columns, parked_obstacles)
-    found = find_moves(first, own, fiber, theta, split_phi(first, phi), moving=first.usable)
-    folded = find_moves(first, own, fiber, theta, split_phi(first, phi) + found.turn, moving=False)
-    found = joined(found, np.flatnonzero(stays), folded, np.flatnonzero(stays))
+    moves = find_moves(first, owner, fiber, theta, split_phi(first, phi), moving=first.usable)
+    folded = find_moves(first, owner, fiber, theta, split_phi(first, phi) + moves.turn, moving=False)
+    moves = joined(moves, np.flatnonzero(stays), folded, np.flatnonzero(stays))
     gone = first.usable & (not parked_obstacles)
-    return found._replace(x=np.where(gone, np.nan, found.x))
+    return moves._replace(x=np.where(gone, np.nan, moves.x))
 
 
 def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves: motion.Moves, same_speed: bool):
@@ -152,7 +156,7 @@ def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves
     if len(stays) == 0:
         return idle
     size = np.diff(start)
-    step = np.maximum(-(-size // MOST), 1)
+    step = np.maximum(-(-size // MOST), 1)  # rounded up, so that every step-th candidate is at most MOST candidates
     offset = np.arange(start[-1]) - np.repeat(start[:-1], size)
     some = np.flatnonzero(offset % np.repeat(step, size) == 0)
     start = np.searchsorted(some, start)
@@ -161,23 +165,23 @@ def turn_idle_arms(columns, idle: motion.Moves, turning: "Turning", start, moves
     phi = np.repeat(idle.angle - theta, N_WAYS)
     if first.model == arms.CAPSULE:
         phi -= np.repeat(np.arctan2(*first.angles[::-1]), N_WAYS)
-    own = np.repeat(np.arange(n), N_WAYS)
-    folded = find_moves(first, own, first.first_index[own], ways, phi, moving=False)
-    folded = folded._replace(x=np.where(np.isin(own, stays), folded.x, np.nan))
-    both = motion.Moves(*(np.concatenate([a[..., some], b], axis=-1) for a, b in zip(moves, folded, strict=True)))
+    owner = np.repeat(np.arange(n), N_WAYS)
+    folded = find_moves(first, owner, first.first_index[owner], ways, phi, moving=False)
+    folded = folded._replace(x=np.where(np.isin(owner, stays), folded.x, np.nan))
+    all_moves = motion.Moves(*(np.concatenate([a[..., some], b], axis=-1) for a, b in zip(moves, folded, strict=True)))
     counts = np.empty((n, N_WAYS), dtype=np.int64)
-    motion.count_meeting(first.neighbors, start, both, same_speed, first.limits, counts)
-    allowed = turning.allows(own, ways) & _within_theta(first, own, ways)
+    motion.count_meeting(first.neighbors, start, all_moves, same_speed, first.limits, counts)
+    allowed = turning.allows(owner, ways) & _within_theta(first, owner, ways)
     counts[~allowed.reshape(n, N_WAYS)] = np.iinfo(np.int64).max
     best = counts.argmin(axis=1)
     return joined(idle, stays, folded, stays * N_WAYS + best[stays])
 
 
-def joined(moves: motion.Moves, rows: np.ndarray, others: motion.Moves, other_rows: np.ndarray) -> motion.Moves:
-    """Return a copy of ``moves``, in which arms ``rows`` have the motion of the arms ``other_rows`` of ``others``."""
+def joined(moves: motion.Moves, rows: np.ndarray, source: motion.Moves, source_rows: np.ndarray) -> motion.Moves:
+    """Return a copy of ``moves``, in which arms ``rows`` have the motion of the arms ``source_rows`` of ``source``."""
     columns = [value.copy() for value in moves]
-    for column, other in zip(columns, others, strict=True):
-        column[..., rows] = other[..., other_rows]
+    for column, source_column in zip(columns, source, strict=True):
+        column[..., rows] = source_column[..., source_rows]
     return motion.Moves(*columns)
 
 
@@ -207,7 +211,7 @@ class Folded:
 
     def __init__(self, columns):
         plane, n = columns.plane, len(columns.plane)
-        own, outline = np.arange(n), plane.positioner.outline
+        owner, outline = np.arange(n), plane.positioner.outline
         sides = {"right": (1.0,), "left": (-1.0,), "both": (1.0, -1.0)}[plane.positioner.handedness]
         kinds = [columns.first_index] if columns.fibers is None else range(len(plane.fiber_types))
         self.columns, self.eccentric, self.central, self.poses = columns, np.zeros(n), np.zeros(n), []
@@ -217,10 +221,10 @@ class Folded:
             fiber = np.broadcast_to(kind, n)
             # any pose of this handedness leads to the same fold; the arm is at a right angle here
             start = np.full(n, side * np.pi / 2)
-            low, high, zero = phi_limits(columns, own, fiber)
+            low, high, zero = phi_limits(columns, owner, fiber)
             start = zero + np.where(np.isinf(low), start - zero, np.clip(start - zero, low, high))
             start = split_phi(columns, start)
-            moves = find_moves(columns, own, fiber, np.zeros(n), start)
+            moves = find_moves(columns, owner, fiber, np.zeros(n), start)
             self.eccentric = np.maximum(self.eccentric, _extent(columns, moves.angle + moves.turn, moves.length))
             self.poses.append((fiber, start + moves.turn))
 
@@ -265,10 +269,10 @@ class Turning:
         first, self.folded = columns.plane.arrays, Folded(columns)
         self._lines, self._usual = {}, {}
         home = first.from_joints(*first.home, np.arange(len(first.usable)), first.first_index)[0]
-        for i, (others, obstacles) in _near(first, self.folded, broken).items():
+        for i, (neighbors, obstacles) in _near(first, self.folded, broken).items():
             free = np.ones(N_BINS, dtype=bool)
             for fiber, phi in self.folded.poses:
-                free &= _free_bins(first, i, fiber, phi, self.folded.eccentric[i], broken, others, obstacles)
+                free &= _free_bins(first, i, fiber, phi, self.folded.eccentric[i], broken, neighbors, obstacles)
             self._lines[i] = _line(first, i, free)
             size = np.bincount(self._lines[i][1], minlength=2)
             size[0] = 0  # directions that are not free
@@ -292,37 +296,37 @@ class Turning:
         padded = np.append(label, np.zeros(2 * N_BINS, dtype=np.int64))
         return np.array([padded[k], padded[k + N_BINS]])
 
-    def allows(self, own: np.ndarray, theta: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
+    def allows(self, owner: np.ndarray, theta: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
         """Return whether folded arms can turn to the directions ``theta``, in the convention of the kernels.
 
-        They turn from the directions ``before`` or, by default, from anywhere in the usual arc. ``own`` must be
+        They turn from the directions ``before`` or, by default, from anywhere in the usual arc. ``owner`` must be
         sorted.
         """
-        allowed = np.ones(len(own), dtype=bool)
+        allowed = np.ones(len(owner), dtype=bool)
         for i in self._lines:
-            rows = slice(*np.searchsorted(own, [i, i + 1]))
-            found = self.labels(i, theta[rows])
+            rows = slice(*np.searchsorted(owner, [i, i + 1]))
+            labels = self.labels(i, theta[rows])
             if before is None:
-                allowed[rows] = ((found == self._usual[i]) & (found > 0)).any(axis=0)
+                allowed[rows] = ((labels == self._usual[i]) & (labels > 0)).any(axis=0)
             else:
                 old = self.labels(i, before[rows])
-                allowed[rows] = ((found[:, None] == old[None]) & (found[:, None] > 0)).any(axis=(0, 1))
+                allowed[rows] = ((labels[:, None] == old[None]) & (labels[:, None] > 0)).any(axis=(0, 1))
         return allowed
 
 
 def _near(columns, folded, broken):
     """Return the broken positioners and the obstacles that the folded arm of each usable positioner can touch."""
-    found: dict = {}
+    near: dict = {}
     pairs = columns.neighbors[columns.usable[columns.neighbors].sum(axis=1) == 1]
     theta = np.arctan2(broken.y - columns.xy[:, 1], broken.x - columns.xy[:, 0])
     with np.errstate(invalid="ignore"):
         size = np.maximum(_extent(columns, broken.angle - theta, broken.length), folded.central)
-    own = np.maximum(folded.eccentric, folded.central)
+    reach = np.maximum(folded.eccentric, folded.central)
     for a, b in pairs.tolist():
         i, j = (a, b) if columns.usable[a] else (b, a)
         apart = np.hypot(*(columns.xy[i] - columns.xy[j]))
-        if apart <= own[i] + size[j] + columns.separation + motion.TOLERANCE:
-            found.setdefault(i, ([], []))[0].append(j)
+        if apart <= reach[i] + size[j] + columns.separation + motion.TOLERANCE:
+            near.setdefault(i, ([], []))[0].append(j)
     for i, j in columns.obstacle_pairs.tolist():
         if not columns.usable[i]:
             continue
@@ -330,9 +334,9 @@ def _near(columns, folded, broken):
         points = columns.obstacles[j : j + 1, :2] if j < n else columns.obstacle_polygons[j - n]
         radius = columns.obstacles[j, 2] if j < n else np.hypot(*np.ptp(points, axis=0))
         apart = np.hypot(*(points - columns.xy[i]).T).min() - radius
-        if apart <= own[i] + columns.clearance + motion.TOLERANCE:
-            found.setdefault(i, ([], []))[1].append(j)
-    return found
+        if apart <= reach[i] + columns.clearance + motion.TOLERANCE:
+            near.setdefault(i, ([], []))[1].append(j)
+    return near
 
 
 def _segments_of(moves):
@@ -342,24 +346,25 @@ def _segments_of(moves):
     return np.array([*near, moves.x + moves.length * c, moves.y + moves.length * s])
 
 
-def _free_bins(columns, i, fiber, phi, size, broken, others, obstacles):
+def _free_bins(columns, i, fiber, phi, size, broken, neighbors, obstacles):
     """Return the ranges of directions in which a folded arm is certainly clear of broken arms and obstacles."""
     theta = (np.arange(N_BINS) + 0.5) * BIN
-    own = np.full(N_BINS, i)
-    moves = find_moves(columns, own, np.full(N_BINS, fiber[i]), theta, np.full(N_BINS, phi[i]), moving=False)
+    owner = np.full(N_BINS, i)
+    moves = find_moves(columns, owner, np.full(N_BINS, fiber[i]), theta, np.full(N_BINS, phi[i]), moving=False)
     segments, fixed = _segments_of(moves), _segments_of(broken)
     outline = columns.plane.positioner.outline
+    # from the center of a range to its ends, no point of the arm moves farther than this arc
     slack = 0.5 * BIN * max(size, 0.0 if outline is None else outline.reach[1]) + motion.TOLERANCE
     gaps = np.full(N_BINS, np.inf)
-    for j in others:
-        both = np.ascontiguousarray(np.hstack([segments, fixed[:, [j]]]))
-        found = np.empty(N_BINS)
-        motion.gaps_to_one(both, N_BINS, i, j, 2 * slack, columns.limits, found)
-        gaps = np.minimum(gaps, found - columns.separation)
+    for j in neighbors:
+        tested = np.ascontiguousarray(np.hstack([segments, fixed[:, [j]]]))
+        gap = np.empty(N_BINS)
+        motion.gaps_to_one(tested, N_BINS, i, j, 2 * slack, columns.limits, gap)
+        gaps = np.minimum(gaps, gap - columns.separation)
     for j in obstacles:
-        found = np.empty(N_BINS)
-        motion.gaps_to_obstacle(segments, i, j, columns.limits, columns.obstacles, found)
-        gaps = np.minimum(gaps, found - columns.clearance)
+        gap = np.empty(N_BINS)
+        motion.gaps_to_obstacle(segments, i, j, columns.limits, columns.obstacles, gap)
+        gaps = np.minimum(gaps, gap - columns.clearance)
     return gaps > slack
 
 
@@ -372,6 +377,7 @@ def _line(columns, i, free):
     else:  # the line begins at a direction that is not free, or anywhere
         first = int(np.argmin(free))
         last = first + N_BINS
+    # a joint range contains a direction at most twice
     line = free[np.arange(first, min(last, first + 2 * N_BINS)) % N_BINS]
     begins = line & ~np.append(False, line[:-1])
     return first * BIN, np.where(line, np.cumsum(begins), 0)

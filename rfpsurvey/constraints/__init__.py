@@ -50,4 +50,4 @@ __all__ = [
 ]
 
 # every constraint of the package is public
-globals().update({one.__name__: one for one in BUILT_IN.values()})
+globals().update({constraint.__name__: constraint for constraint in BUILT_IN.values()})

@@ -84,11 +84,11 @@ class BrightStars(StarRule):
     def _radii(self, magnitudes: np.ndarray) -> np.ndarray:
         """Return the radius (radians) of the circle around each star."""
         function = self.radius if callable(self.radius) else _function_of(self.radius)
-        found = function(magnitudes)
-        radii = np.asarray(found.to_value(u.arcsec) if isinstance(found, u.Quantity) else found)
+        given = function(magnitudes)
+        radii = np.asarray(given.to_value(u.arcsec) if isinstance(given, u.Quantity) else given)
         fits = radii.shape == magnitudes.shape and radii.dtype.kind in "iuf"
         if not (fits and np.isfinite(radii).all() and (radii >= 0).all()):
-            raise refusal("the radii around stars must be finite numbers (arcsec) of at least 0", found, np.ndarray)
+            raise refusal("the radii around stars must be finite numbers (arcsec) of at least 0", given, np.ndarray)
         return radii * ARCSEC
 
     def _circles(self, field: ConstraintField) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
@@ -115,16 +115,17 @@ class BrightStars(StarRule):
             return None
         from scipy.spatial import cKDTree
 
-        found = np.zeros(len(field.id), dtype=bool)
+        excluded = np.zeros(len(field.id), dtype=bool)
         targets = np.flatnonzero(self._concerns(field, "") & np.isfinite(field.vectors).all(axis=1))
         vectors, radii, ids = self._circles(field)
         if len(targets) == 0 or len(vectors) == 0:
-            return found
+            return excluded
+        # the chords of the radii, because the tree contains unit vectors
         near = cKDTree(field.vectors[targets]).query_ball_point(vectors, 2 * np.sin(np.minimum(radii, np.pi) / 2))
-        star = np.repeat(np.arange(len(near)), [len(one) for one in near])
+        star = np.repeat(np.arange(len(near)), [len(indices) for indices in near])
         rows = targets[np.concatenate([*near, []]).astype(int)]
-        found[rows if ids is None else rows[field.is_added[rows] | (field.id[rows] != ids[star])]] = True
-        return found
+        excluded[rows if ids is None else rows[field.is_added[rows] | (field.id[rows] != ids[star])]] = True
+        return excluded
 
     def _lacks(self, field: ConstraintField, what: str) -> str:
         """Return the reason why the stars are unknown in a plan of another program; empty text if they are known."""

@@ -24,25 +24,13 @@ LEVELS = (EXACTLY, AS_GOAL, ONLY_CHECKED)
 
 @dataclass(frozen=True)
 class Abilities:
-    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``.
+    """How a method honors each part of a constraint: ``"exactly"``, ``"as a goal"`` or ``"only checked"``."""
 
-    Parameters
-    ----------
-    obstacles : str
-        Whether arms avoid obstacles.
-    precedence : str
-        Whether some targets take precedence over all other targets.
-    counts, distribution : str
-        Whether numbers of targets are met, and whether science fibers have enough neighbors.
-    motion : str
-        Whether arms unfold without collisions.
-    """
-
-    obstacles: str = ONLY_CHECKED
-    precedence: str = ONLY_CHECKED
-    counts: str = ONLY_CHECKED
-    distribution: str = ONLY_CHECKED
-    motion: str = ONLY_CHECKED
+    obstacles: str = ONLY_CHECKED  # arms avoid obstacles
+    precedence: str = ONLY_CHECKED  # some targets take precedence over all other targets
+    counts: str = ONLY_CHECKED  # numbers of targets are met
+    distribution: str = ONLY_CHECKED  # science fibers have enough neighbors
+    motion: str = ONLY_CHECKED  # arms unfold without collisions
 
 
 class Constraint:
@@ -105,12 +93,12 @@ class Constraint:
         InputError
             If the text has too few or too many values, or if a value is not valid.
         """
-        names = [one.name for one in fields(cls)]
+        names = [field.name for field in fields(cls)]
         try:
             words = shlex.split(arguments)
-            types = [getattr(one.type, "__name__", one.type) for one in fields(cls)]
+            types = [getattr(field.type, "__name__", field.type) for field in fields(cls)]
             values = [CONVERTERS.get(kind, str)(word) for kind, word in zip(types, words, strict=False)]
-            if sum(one.default is MISSING for one in fields(cls)) <= len(words) <= len(names):
+            if sum(field.default is MISSING for field in fields(cls)) <= len(words) <= len(names):
                 return cls(*values)
         except InputError:
             raise
@@ -127,11 +115,11 @@ class Constraint:
         str
             Text such as "the constraint must have the form 'faint LIMIT'".
         """
-        words = [cls.name, *(one.name.upper() for one in fields(cls))]
+        words = [cls.name, *(field.name.upper() for field in fields(cls))]
         return f"the constraint must have the form '{' '.join(words)}'"
 
     def __str__(self):
-        return " ".join([self.name, *(shlex.quote(_text_of(getattr(self, one.name))) for one in fields(self))])
+        return " ".join([self.name, *(shlex.quote(_text_of(getattr(self, field.name))) for field in fields(self))])
 
     def for_instrument(self, instrument: "Instrument | None") -> "Constraint":
         """Return the constraint for an instrument; raise an error if it cannot be used.
@@ -206,14 +194,14 @@ class Constraint:
         list of str
             The sentences; an empty list if the plan does not violate the constraint.
         """
-        found = [f"{self}: {number_of(n_covering, 'arm covers', 'arms cover')} circles"] if n_covering else []
+        texts = [f"{self}: {number_of(n_covering, 'arm covers', 'arms cover')} circles"] if n_covering else []
         if "exclusion" in self.parts:
             excluded = self.excluded(field)
             wrong = [] if excluded is None else field.id[excluded & has_fiber].tolist()
             if wrong:
                 text = number_of(len(wrong), "excluded target has", "excluded targets have")
-                found.append(f"{self}: {text} a fiber ({listed(wrong, MOST_LISTED)})")
-        return found
+                texts.append(f"{self}: {text} a fiber ({listed(wrong, MOST_LISTED)})")
+        return texts
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> Verdict:
         """Return the verdict on a finished plan, which by default is the number of sentences of ``check``.
@@ -232,19 +220,19 @@ class Constraint:
         Verdict
             The verdict; its attribute ``rows`` contains the rows of the targets that violate the constraint.
         """
-        found = self.check(field, has_fiber, n_covering)
+        texts = self.check(field, has_fiber, n_covering)
         excluded = self.excluded(field) if "exclusion" in self.parts else None
         rows = np.empty(0, dtype=int) if excluded is None else np.flatnonzero(excluded & has_fiber)
-        note = "; ".join(text.removeprefix(f"{self}: ") for text in found)
-        return Verdict(str(self), len(found), "no violation", FAIL if found else PASS, note, rows=rows)
+        note = "; ".join(text.removeprefix(f"{self}: ") for text in texts)
+        return Verdict(str(self), len(texts), "no violation", FAIL if texts else PASS, note, rows=rows)
 
     @cached_property
     def parts(self) -> frozenset[str]:
         """Parts of the interface that the constraint uses: the names in ``Abilities``, and ``exclusion``."""
-        own = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
+        parts = {part for part, name in METHODS.items() if getattr(type(self), name) is not getattr(Constraint, name)}
         given = {"precedence": self.required_ids, "counts": self.counts, "distribution": self.distributions}
         given["motion"] = self.motion_law
-        return frozenset(own | {part for part, values in given.items() if values})
+        return frozenset(parts | {part for part, values in given.items() if values})
 
     @cached_property
     def uses_field(self) -> bool:

@@ -111,7 +111,7 @@ class CountedTargets:
     @cached_property
     def groups(self) -> list[Group]:
         """Groups of targets and fibers that count toward one requirement each, per tile or per spectrograph."""
-        return [group for one in self.requirements for group in one.groups(self)]
+        return [group for requirement in self.requirements for group in requirement.groups(self)]
 
     @property
     def several_fiber_types(self) -> bool:
@@ -173,9 +173,9 @@ class CountedTargets:
         list of int
             One number for each group.
         """
-        own = np.flatnonzero(target_of >= 0)
-        place = self.spectrograph_of(own, target_of[own])
-        return [int(group.holds(target_of[own], place, own).sum()) for group in self.groups]
+        owner = np.flatnonzero(target_of >= 0)
+        place = self.spectrograph_of(owner, target_of[owner])
+        return [int(group.holds(target_of[owner], place, owner).sum()) for group in self.groups]
 
     def shortfalls(self, target_of: np.ndarray) -> list["Shortfall"]:
         """Return the requirements that a plan does not meet.
@@ -190,14 +190,14 @@ class CountedTargets:
         list of Shortfall
             The requirements that are not met, with the required number and the actual number of targets.
         """
-        found = []
+        shortfalls = []
         for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
-            one, limit = group.requirement, group.requirement.missed_limit(n)
+            count, limit = group.requirement, group.requirement.missed_limit(n)
             if limit is not None:
-                found.append(
-                    Shortfall(one, group.spectrograph, limit, n, *self._prospects(group, n, limit), group.place)
+                shortfalls.append(
+                    Shortfall(count, group.spectrograph, limit, n, *self._prospects(group, n, limit), group.place)
                 )
-        return found
+        return shortfalls
 
     def verdicts(self, target_of: np.ndarray) -> list[Verdict]:
         """Return the verdict on each requirement, for each part of the focal plane to which it applies.
@@ -212,13 +212,13 @@ class CountedTargets:
         list of Verdict
             One verdict for each group of ``groups``.
         """
-        found = []
+        verdicts = []
         for group, n in zip(self.groups, self.counts_of(target_of), strict=True):
-            one = group.requirement
-            limit = f"at least {one.minimum}" if one.maximum is None else f"{one.minimum} to {one.maximum}"
+            count = group.requirement
+            limit = f"at least {count.minimum}" if count.maximum is None else f"{count.minimum} to {count.maximum}"
             place = group.place if group.spectrograph is None else f"spectrograph {group.spectrograph}"
-            found.append(Verdict(str(one), n, limit, PASS if one.missed_limit(n) is None else FAIL, place))
-        return found
+            verdicts.append(Verdict(str(count), n, limit, PASS if count.missed_limit(n) is None else FAIL, place))
+        return verdicts
 
     def _prospects(self, group: Group, n: int, limit: int) -> tuple[int, str]:
         """Return how many targets of a group are in reach, and a hint if too few of them (``n``) have a fiber.
@@ -280,23 +280,23 @@ class Shortfall:
 def sentences(shortfalls: Iterable[Shortfall]) -> list[str]:
     """Return one sentence for each requirement that is not met."""
     by_requirement: dict = {}
-    for one in shortfalls:
-        by_requirement.setdefault((one.requirement, one.requested > one.found), []).append(one)
-    found = []
+    for shortfall in shortfalls:
+        by_requirement.setdefault((shortfall.requirement, shortfall.requested > shortfall.found), []).append(shortfall)
+    texts = []
     for (_, lacking), rows in by_requirement.items():
         per = "tile" if rows[0].requirement is None else rows[0].requirement.per
         if len(rows) == 1 or not lacking or per == "tile":
-            found += [str(one) for one in rows]
+            texts += [str(shortfall) for shortfall in rows]
             continue
         missing, possible = sum(r.requested - r.found for r in rows), sum(r.possible for r in rows)
         names = [r.place.removeprefix(f"{per} ") or str(r.spectrograph) for r in rows[:16]]
         places = ", ".join(names) + (", ..." if len(rows) > 16 else "")
         why = f"; {_few(possible)} in reach there" if possible < sum(r.requested for r in rows) else ""
-        found.append(
+        texts.append(
             f"{rows[0].what}, {rows[0].requested} in each {per}: {missing} missing in {len(rows)} {per}s "
             f"({places}){why or (rows[0].hint and '; ' + rows[0].hint)}"
         )
-    return found
+    return texts
 
 
 def _few(n):

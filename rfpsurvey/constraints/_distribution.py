@@ -74,6 +74,7 @@ class Distribution(Checked, Rule):
         int
             The percentage of ``n``, rounded up; whole numbers avoid rounding errors in comparisons.
         """
+        # a product that rounding makes slightly larger than a whole number does not count as the next number
         return int(np.ceil(self.percent * n / 100 - 1e-9))
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int = 0) -> Verdict:
@@ -97,12 +98,12 @@ class Distribution(Checked, Rule):
             return self._not_checkable(why)
         science = np.flatnonzero(has_fiber & self._concerns(field, "science"))
         near = np.flatnonzero(has_fiber & self._concerns(field, self.what))
-        others = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
+        not_near = np.setdiff1d(np.flatnonzero(has_fiber & self._concerns(field, "")), near)
         if len(science) == 0:
             return self._not_checkable("the plan does not have a science fiber of this type")
         distance = self.distances(field.xy[science], field.xy[near], self.k)
         percent = 100 * np.mean(distance <= self.distance_mm)
-        public = self.distances(field.xy[others], field.xy[near], min(self.k, 2))
+        public = self.distances(field.xy[not_near], field.xy[near], min(self.k, 2))
         rank = "second-nearest" if self.k > 1 else "nearest"
         nth = {1: "nearest", 2: "second-nearest"}.get(self.k, f"neighbor {self.k}")
         note = (

@@ -212,9 +212,9 @@ class Verdict:
     @property
     def record(self) -> dict:
         """The verdict as numbers and text, in the form in which results store it."""
-        found = {one.name: getattr(self, one.name) for one in fields(self) if one.name != "rows"}
+        content = {field.name: getattr(self, field.name) for field in fields(self) if field.name != "rows"}
         number = float(self.number)
-        return {**found, "number": number if isfinite(number) else None, "fibers": list(self.fibers)}
+        return {**content, "number": number if isfinite(number) else None, "fibers": list(self.fibers)}
 
 
 def verdict_table(records: Iterable[dict]) -> Table:
@@ -231,7 +231,7 @@ def verdict_table(records: Iterable[dict]) -> Table:
         Table with the columns rule, number (NaN if the rule is not checkable), limit, verdict, fibers and note.
     """
     names = ("rule", "number", "limit", "verdict", "fibers", "note")
-    rows = [[one[name] for name in names] for one in records]
+    rows = [[record[name] for name in names] for record in records]
     for row in rows:
         row[1], row[4] = np.nan if row[1] is None else row[1], " ".join(row[4])
     return Table(rows=rows or None, names=names, dtype=[str, float, str, str, str, str])

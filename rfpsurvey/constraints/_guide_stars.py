@@ -107,7 +107,7 @@ class GuideStars(StarRule):
         InputError
             If the instrument does not have the camera or has no cameras, or if there is no instrument.
         """
-        found = copy(super().for_instrument(instrument))
+        constraint = copy(super().for_instrument(instrument))
         cameras = instrument.cameras
         if not cameras:
             remedy = "describe them in the section [cameras] of its TOML file"
@@ -119,8 +119,8 @@ class GuideStars(StarRule):
         angle = np.arccos(np.clip(image.unproject(corners)[:, 0], -1, 1))
         angle = np.where(np.isnan(angle), np.hypot(*corners.T) / image.focal_length, angle).max()
         margin = MARGIN * angle - instrument.field_radius.to_value(u.rad) if self.stars is None else 0.0
-        found.__dict__.update(_cameras=cameras, _farthest=angle, margin_rad=float(np.clip(margin, 0, np.pi)))
-        return found
+        constraint.__dict__.update(_cameras=cameras, _farthest=angle, margin_rad=float(np.clip(margin, 0, np.pi)))
+        return constraint
 
     def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
         """Return the smallest (or, if there are too many stars, the largest) number of stars on a camera."""
@@ -138,8 +138,8 @@ class GuideStars(StarRule):
         # a star can have several rows, such as one for each fiber type
         counts = {name: len(np.unique(xy[fits & (d == 0)], axis=0)) for name, d in apart.items()}
         wrong = {name: n for name, n in counts.items() if not self.minimum <= n <= self.maximum}
-        found = wrong or counts
-        largest, smallest = max(found.values()), min(found.values())
+        stars_of = wrong or counts
+        largest, smallest = max(stars_of.values()), min(stars_of.values())
         number = largest if largest > self.maximum or self.minimum == 0 else smallest
         parts = [f"{name} has {n}" for name, n in counts.items()]
         if wrong:
@@ -163,27 +163,28 @@ class GuideStars(StarRule):
         """Return text on the star that is closest to the limits of a camera, from the distances of all stars in mm."""
         on = apart == 0
         if n > self.maximum:
-            return f" (magnitudes {listed([f'{one:.4g}' for one in np.sort(m[fits & on])], 3)})"
+            return f" (magnitudes {listed([f'{magnitude:.4g}' for magnitude in np.sort(m[fits & on])], 3)})"
         texts, outside = [], np.isfinite(apart) & fits & ~on
         if outside.any():
             texts.append(f"the next star is {apart[outside].min():.3g} mm away from it")
-        others = m[on & ~fits]
-        if len(others):
-            gap = np.maximum(self.brightest - others, others - self.faintest)
-            texts.append(f"the next star on it has magnitude {others[np.argmin(gap)]:.4g}")
+        magnitudes = m[on & ~fits]
+        if len(magnitudes):
+            gap = np.maximum(self.brightest - magnitudes, magnitudes - self.faintest)
+            texts.append(f"the next star on it has magnitude {magnitudes[np.argmin(gap)]:.4g}")
         return f" ({' and '.join(texts) or 'no other star is known'})"
 
 
 def distances(points: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Return the distance of points from a polygon, which is 0 for points inside, and infinite for NaN."""
-    found, inside = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
+    nearest, inside = np.full(len(points), np.inf), np.zeros(len(points), dtype=bool)
     rows = np.flatnonzero(np.isfinite(points).all(axis=1))
     x, y = points[rows].T
     for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, axis=0), strict=True):
         squared = (x1 - x0) ** 2 + (y1 - y0) ** 2 or 1.0  # a corner can be repeated, as in a closed polygon
         along = np.clip(((x - x0) * (x1 - x0) + (y - y0) * (y1 - y0)) / squared, 0, 1)
-        found[rows] = np.minimum(found[rows], np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0)))
+        nearest[rows] = np.minimum(nearest[rows], np.hypot(x - x0 - along * (x1 - x0), y - y0 - along * (y1 - y0)))
+        # even-odd rule: whether a ray along the x axis crosses the edge
         crosses = (y0 > y) != (y1 > y)
         if y1 != y0:
             inside[rows] ^= crosses & (x < x0 + (y - y0) * (x1 - x0) / (y1 - y0))
-    return np.where(inside, 0.0, found)
+    return np.where(inside, 0.0, nearest)

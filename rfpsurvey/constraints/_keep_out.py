@@ -86,7 +86,7 @@ class KeepOut(Constraint):
             ) from None
 
     def __str__(self):
-        return " ".join([self.name, *(circle_text(one).removeprefix("cap ") for one in self.circles)])
+        return " ".join([self.name, *(circle_text(circle).removeprefix("cap ") for circle in self.circles)])
 
     def _refuse_focal_plane(self) -> None:
         raise InputError(

@@ -83,8 +83,8 @@ class MagnitudeLimits(Checked, Rule):
 
     def _concerned(self, field: ConstraintField) -> np.ndarray:
         """Return which targets have limits; sky positions have no magnitude, and have limits only on request."""
-        found = self._concerns(field, self.what)
-        return found if self.what else found & (field.kind != "sky")
+        concerned = self._concerns(field, self.what)
+        return concerned if self.what else concerned & (field.kind != "sky")
 
     def _verdict(self, field: ConstraintField, has_fiber: np.ndarray) -> Verdict:
         """Return the number of fibers whose targets are outside the limits; its note states the known magnitudes."""

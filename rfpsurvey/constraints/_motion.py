@@ -17,7 +17,7 @@ MOST_LISTED = 5
 
 def law_of(constraints: Iterable[Constraint]) -> str:
     """Return the law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
-    laws = list(dict.fromkeys(one.motion_law for one in constraints if one.motion_law))
+    laws = list(dict.fromkeys(constraint.motion_law for constraint in constraints if constraint.motion_law))
     if len(laws) > 1:
         raise InputError(f"all constraints on the motion must have the same law of time, got {listed(laws)}")
     return laws[0] if laws else ""

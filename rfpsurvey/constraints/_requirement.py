@@ -169,20 +169,20 @@ class Requirement(Constraint):
         InputError
             If the text does not have one of the allowed forms, or if a number or a name in the text is not valid.
         """
-        found = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
-        if found is None:
+        match = FORM.fullmatch(text.strip()) if isinstance(text, str) else None
+        if match is None:
             raise InputError(
                 f"a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, "
                 f"got {short(text)}"
             )
-        quoted, what, fiber, least, low, high, per = found.groups()
+        quoted, what, fiber, least, low, high, per = match.groups()
         most = None if high is None else int(high)
         return cls(quoted or what.strip(), int(least or low or 0), most, per or "tile", (fiber or "").strip())
 
     def __str__(self):
         most = "" if self.maximum is None else f"-{self.maximum}"
         fiber = f"@{self.fiber_type}" if self.fiber_type else ""
-        named = {one.name for one in _subclasses(Constraint)} - {*KINDS}
+        named = {constraint.name for constraint in _subclasses(Constraint)} - {*KINDS}
         plain = PLAIN.fullmatch(self.what) and self.what.split()[0] not in named
         what = self.what if plain else f"'{self.what}'"
         return f"{what}{fiber}={self.minimum}{most}" + ("" if self.per == "tile" else f"/{self.per}")
@@ -194,15 +194,15 @@ class Requirement(Constraint):
 def check_counts(counts: Iterable[Requirement], focal_plane: object) -> None:
     """Raise an error if a requirement names a fiber type or a column that a focal plane does not have."""
     names = tuple(focal_plane.groups or {})
-    for one in counts:
-        if one.fiber_type:
-            check_fiber_type(one.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(one)!r}")
-        if one.per not in ("tile", "spectrograph", *names):
+    for count in counts:
+        if count.fiber_type:
+            check_fiber_type(count.fiber_type, focal_plane.fiber_types, f"fiber type of the requirement {str(count)!r}")
+        if count.per not in ("tile", "spectrograph", *names):
             known = listed(map(repr, ("spectrograph", *names)), 8)
-            hint = close_to(one.per, ("tile", "spectrograph", *names))
+            hint = close_to(count.per, ("tile", "spectrograph", *names))
             raise InputError(
-                f"the requirement {str(one)!r} must name an integer column of the focal plane after '/', one of: "
-                f"{known}; got {one.per!r}{hint and '; ' + hint}"
+                f"the requirement {str(count)!r} must name an integer column of the focal plane after '/', one of: "
+                f"{known}; got {count.per!r}{hint and '; ' + hint}"
             )
 
 
@@ -210,13 +210,13 @@ def as_requirements(given: object) -> tuple[Requirement, ...]:
     """Convert one or several requirements, given as objects or text, to a tuple of requirements."""
     if given is None:
         return ()
-    found = []
-    for one in items_of(given, "requirements must be a list of Requirement or text", str, Requirement):
-        if not isinstance(one, str | Requirement):
+    requirements = []
+    for item in items_of(given, "requirements must be a list of Requirement or text", str, Requirement):
+        if not isinstance(item, str | Requirement):
             text = "a requirement must be a Requirement or text such as 'sky=20/spectrograph'"
-            raise InputError(f"{text}, got {short(one)}")
-        found.append(Requirement.parse(one) if isinstance(one, str) else one)
-    return tuple(dict.fromkeys(found))  # a repeated requirement counts once
+            raise InputError(f"{text}, got {short(item)}")
+        requirements.append(Requirement.parse(item) if isinstance(item, str) else item)
+    return tuple(dict.fromkeys(requirements))  # a repeated requirement counts once
 
 
 def _subclasses(cls: type) -> set[type]:

@@ -133,10 +133,10 @@ class Rule(Constraint):
 
     def _concerns(self, field: ConstraintField, what: str) -> np.ndarray:
         """Return which targets are of a kind or category (any, if it is empty) and of the fiber type of the rule."""
-        found = has_role(field.kind, what) | (field.category == what) if what else np.ones(len(field.id), dtype=bool)
+        mask = has_role(field.kind, what) | (field.category == what) if what else np.ones(len(field.id), dtype=bool)
         fiber = getattr(self, "fiber_type", "")
         # a target without a fiber type can have a fiber of any type
-        return found & np.isin(field.fiber_type, ["", fiber]) if fiber else found
+        return mask & np.isin(field.fiber_type, ["", fiber]) if fiber else mask
 
     def _magnitudes(self, field: ConstraintField) -> np.ndarray:
         """Return the magnitude of each target in the column of the rule; missing magnitudes are NaN."""
@@ -192,7 +192,7 @@ class StarRule(Checked, Rule):
             check_unit(self.column, self._catalog.arrays.extra_units[self.column])
 
     def __str__(self):
-        values = [(getattr(self, one.name), one.default) for one in fields(self)]
+        values = [(getattr(self, field.name), field.default) for field in fields(self)]
         while values and values[-1][0] == values[-1][1]:
             values.pop()
         words = [self._digest if isinstance(value, Catalog) else value for value, _ in values]

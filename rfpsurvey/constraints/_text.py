@@ -21,12 +21,12 @@ GROUP = "rfpsurvey.constraints"
 
 def find_constraints(package: str, folder: Path) -> dict[str, type[Constraint]]:
     """Return the constraints that the modules of a package define, by the first word of their text."""
-    modules = [importlib.import_module(f"{package}.{found.name}") for found in pkgutil.iter_modules([str(folder)])]
-    classes = [(module, one) for module in modules for one in vars(module).values() if isinstance(one, type)]
+    modules = [importlib.import_module(f"{package}.{module.name}") for module in pkgutil.iter_modules([str(folder)])]
+    classes = [(module, member) for module in modules for member in vars(module).values() if isinstance(member, type)]
     return {
-        one.name: one
-        for module, one in classes
-        if issubclass(one, Constraint) and one.__module__ == module.__name__ and one.name
+        member.name: member
+        for module, member in classes
+        if issubclass(member, Constraint) and member.__module__ == module.__name__ and member.name
     }
 
 
@@ -72,34 +72,34 @@ def as_constraints(given: object) -> tuple[Constraint, ...]:
     """
     given = () if given is None else given
     given = items_of(given, "constraints must be a list of constraints or text", str, Constraint)
-    return tuple(_as_constraint(one) for one in given)
+    return tuple(_as_constraint(item) for item in given)
 
 
-def _as_constraint(one: object) -> Constraint:
-    if isinstance(one, Constraint):
-        if not is_dataclass(one) and type(one).__str__ is Constraint.__str__:  # the text consists of the fields
-            raise InputTypeError(f"a constraint must be a frozen dataclass, got the class {type(one).__name__}")
-        margin = answer(one, partial(getattr, one, "margin_rad"))
+def _as_constraint(item: object) -> Constraint:
+    if isinstance(item, Constraint):
+        if not is_dataclass(item) and type(item).__str__ is Constraint.__str__:  # the text consists of the fields
+            raise InputTypeError(f"a constraint must be a frozen dataclass, got the class {type(item).__name__}")
+        margin = answer(item, partial(getattr, item, "margin_rad"))
         if not (isinstance(margin, int | float | np.number) and 0 <= margin <= np.pi):
-            raise refusal(f"margin_rad of the constraint '{one}' must be a number from 0 to pi", margin, Number)
-        return one
-    if not isinstance(one, str):
+            raise refusal(f"margin_rad of the constraint '{item}' must be a number from 0 to pi", margin, Number)
+        return item
+    if not isinstance(item, str):
         text = "a constraint must be a Constraint or text such as 'sky=20/spectrograph'"
-        raise InputTypeError(f"{text}, got {short(one)}")
-    name, _, arguments = one.strip().partition(" ")
+        raise InputTypeError(f"{text}, got {short(item)}")
+    name, _, arguments = item.strip().partition(" ")
     if name in BUILT_IN:
         return BUILT_IN[name].parse(arguments)
     names = plugin_names(GROUP)
     word, sign, _ = name.partition("@" if "@" in name.partition("=")[0] else "=")
     if sign and word in {*BUILT_IN, *names} - {*KINDS}:
         raise InputError(
-            f"the text of the constraint {word!r} must have a space after its name, got {short(one)}; to require a "
+            f"the text of the constraint {word!r} must have a space after its name, got {short(item)}; to require a "
             f"number of targets of a category of this name, write the name in single quotes: '{word}'=..."
         )
-    if name not in names and ("=" in one or FORM.fullmatch(one.strip())):
-        return Requirement.parse(one)
+    if name not in names and ("=" in item or FORM.fullmatch(item.strip())):
+        return Requirement.parse(item)
     if name not in names:
-        check_choice(name, {*BUILT_IN, *names}, "constraint", others=", or a requirement such as sky=20/spectrograph")
+        check_choice(name, {*BUILT_IN, *names}, "constraint", also=", or a requirement such as sky=20/spectrograph")
     plugin = find_plugin(GROUP, name, BUILT_IN, "constraint")
     with plugin.answering():
         return _class_of(plugin).parse(arguments)
@@ -110,7 +110,7 @@ def with_present_texts(recorded: dict, present: dict) -> dict:
 
     The texts of equal constraints can differ: ``magnitude h 7 13`` and ``magnitude h 7.0 13.0`` are equal.
     """
-    texts, now = (one.get("constraints", []) for one in (recorded, present))
+    texts, now = (record.get("constraints", []) for record in (recorded, present))
     if not texts or len(texts) != len(now):
         return recorded
     kept = [b if a != b and _are_equal(a, b) else a for a, b in zip(texts, now, strict=True)]
@@ -147,9 +147,9 @@ def named_plugins(constraints: Iterable[Constraint]) -> dict[str, str]:
     dict of str to str
         Versions of packages, by the name of the package.
     """
-    found, names = {}, None
-    for name in {one.name for one in constraints} - {*BUILT_IN, ""}:
+    versions, names = {}, None
+    for name in {constraint.name for constraint in constraints} - {*BUILT_IN, ""}:
         names = plugin_names(GROUP) if names is None else names
         if name in names:
-            found.update(find_plugin(GROUP, name, BUILT_IN, "constraint").software)
-    return found
+            versions.update(find_plugin(GROUP, name, BUILT_IN, "constraint").software)
+    return versions

@@ -28,6 +28,7 @@ class Circles:
         any_type = np.broadcast_to(np.int64(-1), len(points)), np.broadcast_to(np.int64(-1), n)
         start, empty = np.empty(len(points) + 1, dtype=np.int64), np.empty(0)
         circles = reach.annuli(self.x, self.y, np.zeros(n), self.radius), any_type[1].copy()
+        # without room for pairs, the kernel only counts them
         pairs = np.empty(0, dtype=np.int64), empty, np.empty(0, dtype=np.int8)
         reach.reachable_pairs(x, y, any_type[0].copy(), *circles, *self._grid, start, *pairs)
         return np.diff(start) > 0
@@ -42,6 +43,7 @@ class AllowedPoses:
         margins = self.plane.margins
         if not (margins.outer > 0 or margins.inner > 0):
             return self.inner_radius, self.outer_radius
+        # rational arithmetic takes long, but many positioners have the same lengths and radii
         kinds = np.column_stack([self.central_arm, self.eccentric_arm, self.inner_radius, self.outer_radius])
         _, rows, inverse = np.unique(kinds, axis=0, return_index=True, return_inverse=True)
         radii = np.array([[float(v) for v in edges_exactly(self, k)] for k in rows])[inverse.reshape(-1)]
@@ -139,24 +141,24 @@ class AllowedPoses:
         return locked(np.where(self.usable[pairs[:, :1]], pairs, pairs[:, ::-1]))
 
 
-def _clear_of_broken(columns, own, points, side, fiber):
+def _clear_of_broken(columns, owner, points, side, fiber):
     """Return whether arms keep the margin from the arms of broken positioners; they do not if rounding is uncertain."""
     plane, pairs = columns.plane, columns.plane.arrays.broken_pairs
-    clear = np.ones(len(own), dtype=bool)
+    clear = np.ones(len(owner), dtype=bool)
     near = np.zeros(len(plane), dtype=bool)
     near[pairs[:, 0]] = True
-    rows = np.flatnonzero(near[own] & np.isfinite(points).all(axis=1))
+    rows = np.flatnonzero(near[owner] & np.isfinite(points).all(axis=1))
     broken = np.unique(pairs[:, 1])
     if len(rows) == 0:
         return clear
-    mine, side = own[rows], np.broadcast_to(side, len(own)).astype(float)[rows]
+    mine, side = owner[rows], np.broadcast_to(side, len(owner)).astype(float)[rows]
     fiber = columns.fiber_index[mine] if fiber is None else fiber[rows]
     moved = columns.segments_of(mine, fiber, np.ascontiguousarray(points[rows]), side)
     fixed = columns.idle_segments(False)[:, broken]
-    owner = np.concatenate([mine, broken])
-    order = np.argsort(owner, kind="stable")
-    segments, owner = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), owner[order]
-    size = np.bincount(owner, minlength=len(plane))
+    of_segment = np.concatenate([mine, broken])
+    order = np.argsort(of_segment, kind="stable")
+    segments, of_segment = np.ascontiguousarray(np.hstack([moved, fixed])[:, order]), of_segment[order]
+    size = np.bincount(of_segment, minlength=len(plane))
     start = np.concatenate([[0], np.cumsum(size)])
     halves, limits = np.empty_like(segments), plane.arrays.limits_with(plane.margins.numbers["broken"])
     collisions.halve(segments, halves)
@@ -169,7 +171,8 @@ def _clear_of_broken(columns, own, points, side, fiber):
             pairs, p, plane.arrays.geometry, start, segments, halves, limits, first, second, borderline
         )
         if limits.outline.start.size > 1:
-            n = conflicts.keep_outlined(n, owner, segments, limits, first, second, borderline)
+            n = conflicts.keep_outlined(n, of_segment, segments, limits, first, second, borderline)
+        # the moved arms precede the broken arms
         close = order[first[:n]]
         clear[rows[close[close < len(rows)]]] = False
     return clear

@@ -197,10 +197,10 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments, FixedObstacles, Neighbors):
 
     def index_of(self, fiber_type: np.ndarray, own: np.ndarray | None = None) -> np.ndarray:
         """Return the index of each fiber type in ``fiber_types``; ``""`` means the first type of the positioner."""
-        found = self.first_index.copy() if own is None else self.first_index[own]
+        index = self.first_index.copy() if own is None else self.first_index[own]
         for k, name in enumerate(self.plane.fiber_types):
-            found[fiber_type == name] = k
-        return found
+            index[fiber_type == name] = k
+        return index
 
     @cached_property
     def fiber_index(self) -> np.ndarray:
@@ -212,11 +212,11 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments, FixedObstacles, Neighbors):
             return self
         for name in SHARED:
             getattr(self, name)  # computed here, so that the copy does not compute it again
-        other = copy(self)
+        arrays = copy(self)
         for name in IN_USE if self.fibers is not None else ("angles",):
-            other.__dict__.pop(name, None)
-        other.fiber_index = locked(fiber)
-        return other
+            arrays.__dict__.pop(name, None)
+        arrays.fiber_index = locked(fiber)
+        return arrays
 
     @cached_property
     def offers(self) -> np.ndarray:
@@ -305,9 +305,9 @@ class FocalPlaneArrays(AllowedPoses, ArmSegments, FixedObstacles, Neighbors):
     def joints(self) -> Joints | None:
         """Zero points and limits of joints; None if the focal plane has no columns for them and no ``fiber_xy``."""
         plane = self.plane
-        own = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
+        given = plane.zero_points, plane.fiber_xy, plane.theta_range, plane.phi_range
         lengths = self.eccentric_arm[None] if self.fibers is None else self.fibers.length
-        return None if all(values is None for values in own) else Joints(plane, self.fibers, self.central_arm, lengths)
+        return None if all(v is None for v in given) else Joints(plane, self.fibers, self.central_arm, lengths)
 
     def to_joints(self, theta, phi, own=None, fiber=None) -> tuple[np.ndarray, np.ndarray]:
         """Convert angles from the convention of the kernels (see ``Joints``) to joint angles."""

@@ -109,8 +109,8 @@ def _check_obstacles(plane):
         if isinstance(polygons, u.Quantity) or not isinstance(polygons, Sequence):
             raise InputTypeError(f"obstacle_polygons must be a list of polygons, got {short(polygons)}")
         object.__setattr__(plane, "obstacle_polygons", tuple(polygons))
-        for k, one in enumerate(to_polygons(polygons)):
-            if len(one) < 3:
+        for k, polygon in enumerate(to_polygons(polygons)):
+            if len(polygon) < 3:
                 raise InputError(f"obstacle_polygons[{k}] must have at least three vertices, got {short(polygons[k])}")
 
 

@@ -65,10 +65,10 @@ class Joints:
         self.theta_zero, self.phi_zero = zeros.T.copy()
         self.angle = None if fibers is None else fibers.angle
         limits = []
-        for own, common in zip((plane.theta_range, plane.phi_range), plane.positioner.numbers.limits, strict=True):
+        for ranges, common in zip((plane.theta_range, plane.phi_range), plane.positioner.numbers.limits, strict=True):
             pair = np.repeat(common[:, None], n, axis=1)
-            if own is not None:
-                given = to_radian(own, "joint limits").T
+            if ranges is not None:
+                given = to_radian(ranges, "joint limits").T
                 pair = np.where(np.isfinite(given), given, pair)
             limits += list(pair)
         self.limits = np.array(limits)
@@ -78,20 +78,20 @@ class Joints:
             side = -1.0 if plane.positioner.handedness == "left" else 1.0
             self.free[side] |= self._cut(l1, l2, side)
 
-    def zeros(self, own, fiber):
+    def zeros(self, owner, fiber):
         """Return, for theta and phi, the angle that the kernels use minus the joint angle."""
-        phi = self.phi_zero[own]
-        return self.theta_zero[own], phi if self.angle is None else phi + self.angle[fiber, own]
+        phi = self.phi_zero[owner]
+        return self.theta_zero[owner], phi if self.angle is None else phi + self.angle[fiber, owner]
 
     def home(self, home, fiber, *, folded: bool):
         """Return the joint angles of parked positioners: the angles ``home``, or folded arms if ``folded`` is true.
 
         An angle beyond the joint limits is replaced by the nearest limit.
         """
-        own = np.arange(self.limits.shape[1])
-        angles = np.repeat(np.asarray(home)[:, None], len(own), axis=1)
+        owner = np.arange(self.limits.shape[1])
+        angles = np.repeat(np.asarray(home)[:, None], len(owner), axis=1)
         if folded:
-            angles[1] = np.pi - self.zeros(own, fiber)[1]
+            angles[1] = np.pi - self.zeros(owner, fiber)[1]
         for k, value in enumerate(angles):
             ends = self.limits[2 * k : 2 * k + 2]
             beyond = ~within_limits(value, *ends)
@@ -99,20 +99,20 @@ class Joints:
             value[beyond] = np.where(away[0] <= away[1], *ends[:, beyond])
         return angles
 
-    def from_kernel(self, theta, phi, own, fiber):
+    def from_kernel(self, theta, phi, owner, fiber):
         """Convert kernel angles to joint angles.
 
         The joint angles are in the range of 360 deg that starts at the lower joint limit (at -180 deg without a limit).
         """
-        found = []
-        for value, zero, low in zip((theta, phi), self.zeros(own, fiber), self.limits[::2, own], strict=True):
+        angles = []
+        for value, zero, low in zip((theta, phi), self.zeros(owner, fiber), self.limits[::2, owner], strict=True):
             start = np.where(np.isfinite(low), low, -np.pi) - 1e-12
-            found.append(start + np.mod(value - zero - start, 2 * np.pi))
-        return found
+            angles.append(start + np.mod(value - zero - start, 2 * np.pi))
+        return angles
 
-    def allowed(self, theta, phi, own):
-        """Return whether joint angles are within the joint limits of the positioners in the rows ``own``."""
-        low, high, phi_low, phi_high = self.limits[:, own]
+    def allowed(self, theta, phi, owner):
+        """Return whether joint angles are within the joint limits of the positioners in the rows ``owner``."""
+        low, high, phi_low, phi_high = self.limits[:, owner]
         return within_limits(theta, low, high) & within_limits(phi, phi_low, phi_high)
 
     def _allow_all(self, side):
@@ -138,10 +138,10 @@ class Joints:
             last = first + (phi_high - phi_low)
         before, after = first <= np.pi, last >= 2 * np.pi
         begin, end = np.where(before, first, 0.0), np.where(before, np.minimum(last, np.pi), last - 2 * np.pi)
-        one, end = np.isfinite(first) & (before ^ after), np.minimum(end, np.pi)
+        is_single, end = np.isfinite(first) & (before ^ after), np.minimum(end, np.pi)
         phi = start + np.array([begin - 1e-12, end + 1e-12]).clip(0.0, np.pi)
         squared = np.sort(l1**2 + l2**2 + 2 * l1 * l2 * np.cos(phi), axis=0)
-        possible = one.all(axis=0) & (high - low >= 2 * np.pi)
+        possible = is_single.all(axis=0) & (high - low >= 2 * np.pi)
         inner, outer = np.sqrt(np.maximum(squared, 0.0))
         # an interval that ends at phi = 0 or 180 deg limits the distance no more than the arm lengths do
         near, far = (begin, end) if side < 0 else (np.pi - end, np.pi - begin)
@@ -150,17 +150,17 @@ class Joints:
         return possible
 
 
-def patrol_radii(columns, own=None, fiber=None, side=None) -> tuple[np.ndarray, np.ndarray]:
-    """Return the inner and outer radii of patrol areas (mm) for the positioners ``own`` and fiber types ``fiber``."""
-    own, fiber = columns.rows_of(own, fiber)
-    l1 = columns.central_arm[own]
-    l2 = columns.eccentric_arm[own] if columns.fibers is None else columns.fibers.length[fiber, own]
+def patrol_radii(columns, owner=None, fiber=None, side=None) -> tuple[np.ndarray, np.ndarray]:
+    """Return the inner and outer radii of patrol areas (mm) for the positioners ``owner`` and fiber types ``fiber``."""
+    owner, fiber = columns.rows_of(owner, fiber)
+    l1 = columns.central_arm[owner]
+    l2 = columns.eccentric_arm[owner] if columns.fibers is None else columns.fibers.length[fiber, owner]
     inner = np.abs(l1 - l2)
     inner, outer = np.where(inner < EQUAL_ARMS, 0.0, inner), l1 + l2
     if columns.joints is None:
         return inner, outer
     kind = 0 if columns.fibers is None else fiber
-    low, high = columns.joints.inner[kind, own], columns.joints.outer[kind, own]
+    low, high = columns.joints.inner[kind, owner], columns.joints.outer[kind, owner]
     if side is not None:  # these limits are for the default handedness
         usual = np.asarray(side) == (-1.0 if columns.plane.positioner.handedness == "left" else 1.0)
         low, high = np.where(usual, low, 0.0), np.where(usual, high, np.inf)

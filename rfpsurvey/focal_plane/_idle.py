@@ -15,10 +15,8 @@ class Idle:
 
     theta: np.ndarray
     phi: np.ndarray
-    segments: np.ndarray
-    """Positions of elbows and fiber tips in mm, shape (4, n): x and y of the elbow, x and y of the tip."""
-    parked: np.ndarray
-    """Whether each positioner is usable and parked, and is thus an obstacle."""
+    segments: np.ndarray  # x and y of the elbow, x and y of the fiber tip in mm, shape (4, n)
+    parked: np.ndarray  # whether each positioner is usable and parked, and is thus an obstacle
 
     def at_angles(self, columns, angles: np.ndarray, *, obstacles: bool) -> "Idle":
         """Return these poses, replaced by joint angles in radians, shape (2, n), where these are not NaN.
@@ -28,8 +26,8 @@ class Idle:
         known = np.isfinite(angles).all(axis=0) & (~columns.usable | obstacles)
         posed = np.empty_like(self.segments)
         arms.pose(*(np.ascontiguousarray(v) for v in columns.from_joints(*angles)), columns.geometry, posed)
-        own = self.theta, self.phi, self.segments
-        values = [np.where(known, *pair) for pair in zip((*angles, posed), own, strict=True)]
+        parked = self.theta, self.phi, self.segments
+        values = [np.where(known, *pair) for pair in zip((*angles, posed), parked, strict=True)]
         return Idle(*values, np.where(known, columns.usable, self.parked))
 
 
@@ -72,10 +70,10 @@ class ArmSegments:
 
     @cached_property
     def _idle_segments(self) -> dict[bool, np.ndarray]:
-        found = {key: one.segments.copy() for key, one in self._idle.items()}
-        for segments in found.values():
+        copies = {key: idle.segments.copy() for key, idle in self._idle.items()}
+        for segments in copies.values():
             arms.shape(segments, self.model, self.length, *self.angles)
-        return {key: locked(segments) for key, segments in found.items()}
+        return {key: locked(segments) for key, segments in copies.items()}
 
     def segments_of(
         self, own: np.ndarray, fiber: np.ndarray | None, points: np.ndarray, side: np.ndarray | None = None

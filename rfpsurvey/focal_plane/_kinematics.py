@@ -26,9 +26,9 @@ def forward(plane, theta, phi, fiber_type) -> u.Quantity:
     if any(value.shape != (n,) for value in angles):
         raise InputError(f"theta and phi must have the shape ({n},), got {' and '.join(str(v.shape) for v in angles)}")
     fiber, missing = _fibers(plane, fiber_type)
-    own, segments = np.arange(n), np.empty((4, n))
-    angles = (np.ascontiguousarray(v, dtype=float) for v in columns.from_joints(*angles, own, fiber))
-    arms.pose(*angles, columns.geometry_of(own, fiber), segments)
+    owner, segments = np.arange(n), np.empty((4, n))
+    angles = (np.ascontiguousarray(v, dtype=float) for v in columns.from_joints(*angles, owner, fiber))
+    arms.pose(*angles, columns.geometry_of(owner, fiber), segments)
     segments[:, missing] = np.nan
     return segments[2:].T.copy() << u.mm
 
@@ -40,14 +40,14 @@ def inverse(plane, xy, fiber_type, handedness) -> tuple[u.Quantity, u.Quantity]:
     if len(points) != n:
         raise InputError(f"xy must have a row for each of the {n} positioners, got {len(points)}")
     fiber, missing = _fibers(plane, fiber_type)
-    own = np.arange(n)
+    owner = np.arange(n)
     side = to_sides(columns, points, handedness, fiber)
-    g, angles = columns.geometry_of(own, fiber), np.empty((2, n))
+    g, angles = columns.geometry_of(owner, fiber), np.empty((2, n))
     arms.solve(points, g, side, *angles)
-    bounds = columns.bounds_of(own, fiber, side)
+    bounds = columns.bounds_of(owner, fiber, side)
     r2 = ((points - columns.xy) ** 2).sum(axis=1)
-    reached = (r2 >= bounds.low) & (r2 <= bounds.high) & ~missing & columns.joints_allow(own, points, side, fiber)
-    return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, own, fiber))
+    reached = (r2 >= bounds.low) & (r2 <= bounds.high) & ~missing & columns.joints_allow(owner, points, side, fiber)
+    return tuple(np.rad2deg(np.where(reached, v, np.nan)) << u.deg for v in columns.to_joints(*angles, owner, fiber))
 
 
 def to_sides(columns, points: np.ndarray, handedness: object, fiber: np.ndarray | None = None) -> np.ndarray:

@@ -100,7 +100,7 @@ class Margins(Settings):
         """
         if not isinstance(numbers, dict):
             raise InputTypeError(f"margins must be numbers by name, got {short(numbers)}")
-        known = {one.name: one for one in options_of(cls)}
+        known = {field.name: field for field in options_of(cls)}
         for name in numbers:
             check_choice(name, known, "margin")
         return cls(**{name: known[name].restored(value) for name, value in numbers.items()})
@@ -108,23 +108,23 @@ class Margins(Settings):
     @property
     def numbers(self) -> dict[str, float]:
         """All margins by name, lengths in mm."""
-        return {one.name: float(one.plain(getattr(self, one.name))) for one in options_of(Margins)}
+        return {field.name: float(field.plain(getattr(self, field.name))) for field in options_of(Margins)}
 
     def __bool__(self):
         return bool(self.record)
 
     def __str__(self):
-        return self._texts(lambda one, number: f"{one.name} {number:g}{f' {one.units[0]}' if one.units else ''}")
+        return self._texts(lambda f, number: f"{f.name} {number:g}{f' {f.units[0]}' if f.units else ''}")
 
     @property
     def description(self) -> str:
         """The margins that have an effect as text for readers who do not know their names."""
-        return self._texts(lambda one, number: one.option.text.format(number))
+        return self._texts(lambda f, number: f.option.text.format(number))
 
     def _texts(self, text: Callable) -> str:
         """Return the texts of the margins that have an effect; ``text`` makes a text of an option and its value."""
-        known = [one for one in options_of(Margins) if not one.is_default(self)]
-        return listed(text(one, self.numbers[one.name]) for one in known)
+        known = [field for field in options_of(Margins) if not field.is_default(self)]
+        return listed(text(field, self.numbers[field.name]) for field in known)
 
 
 def check_margins(plane) -> None:

@@ -90,9 +90,9 @@ class Modular:
             columns["obstacle_polygons"] = [*(columns.get("obstacle_polygons") or ()), *walls]
         m, k = len(xy), len(points)
         for name in {*columns} - {"obstacles", "hidden", "obstacle_polygons", "margins"}:
-            own = columns[name]
-            is_dict = isinstance(own, dict)
-            columns[name] = {key: _repeated(v, k, m) for key, v in own.items()} if is_dict else _repeated(own, k, m)
+            given = columns[name]
+            is_dict = isinstance(given, dict)
+            columns[name] = {key: _repeated(v, k, m) for key, v in given.items()} if is_dict else _repeated(given, k, m)
         if isinstance(columns.get("groups", {}), dict):
             columns["groups"] = {"module": np.repeat(np.arange(1, m + 1), k), **columns.get("groups", {})}
         step = 10 ** len(str(k))
@@ -153,8 +153,8 @@ def grouped_modules(side: float, gap: float, group_gap: float, most: float, *, w
     centers, turns = [], []
     for sign in (1, -1):  # groups whose tip points toward +y, and toward -y
         group = corner + np.array([edge / 2, sign * edge / np.sqrt(12)])
-        own = sign * (side / np.sqrt(3) + gap)
-        around = [[0, 0], *([own * np.cos(a), own * np.sin(a)] for a in np.radians([90, 210, 330]))]
+        radius = sign * (side / np.sqrt(3) + gap)
+        around = [[0, 0], *([radius * np.cos(a), radius * np.sin(a)] for a in np.radians([90, 210, 330]))]
         modules = group[:, None, :] + np.array(around)
         far = np.hypot(*group.T)[:, None] if whole else np.hypot(*modules.transpose(2, 0, 1))
         keep = np.broadcast_to(far <= most, modules.shape[:2])
@@ -236,7 +236,7 @@ def walls_of(xy: np.ndarray, turn: np.ndarray, outline: np.ndarray, thickness: f
     along = (last - first) / np.hypot(*(last - first).T)[:, None]
     out = thickness * np.column_stack([along[:, 1], -along[:, 0]])  # corners are in counter-clockwise order
     strips = np.stack([first, first + out, last + out, last], axis=1)
-    return [one * u.mm for one in _placed(xy, turn, strips.reshape(-1, 2)).reshape(-1, 4, 2)]
+    return [wall * u.mm for wall in _placed(xy, turn, strips.reshape(-1, 2)).reshape(-1, 4, 2)]
 
 
 def _placed(xy: np.ndarray, turn: np.ndarray, points: np.ndarray) -> np.ndarray:
@@ -255,10 +255,10 @@ def _check_overlap(xy: np.ndarray, turn: np.ndarray, outline: np.ndarray) -> Non
     normals = np.stack([along[..., 1], -along[..., 0]], axis=-1)
     pairs = scipy.spatial.cKDTree(xy).query_pairs(2 * np.hypot(*outline.T).max(), output_type="ndarray")
     apart = np.zeros(len(pairs), dtype=bool)
-    for one, other in (pairs.T, pairs.T[::-1]):
-        axes = normals[one]
-        own = np.einsum("pab,pcb->pac", axes, shapes[one]).max(axis=2)
-        apart |= (np.einsum("pab,pcb->pac", axes, shapes[other]).min(axis=2) >= own - 1e-9 * np.abs(own)).any(axis=1)
+    for first, second in (pairs.T, pairs.T[::-1]):
+        axes = normals[first]
+        far = np.einsum("pab,pcb->pac", axes, shapes[first]).max(axis=2)
+        apart |= (np.einsum("pab,pcb->pac", axes, shapes[second]).min(axis=2) >= far - 1e-9 * np.abs(far)).any(axis=1)
     if not apart.all():
         i, j = pairs[~apart][0] + 1
         n = number_of(int((~apart).sum()), "pair")

@@ -72,6 +72,6 @@ class Neighbors:
 
         The array of neighbors is never empty, because arrays on a GPU must not be empty.
         """
-        both = np.vstack([self.neighbors, self.neighbors[:, ::-1]])
-        both = both[np.lexsort((both[:, 1], both[:, 0]))]
-        return np.searchsorted(both[:, 0], np.arange(len(self.plane) + 1)), np.append(both[:, 1], 0)
+        pairs = np.vstack([self.neighbors, self.neighbors[:, ::-1]])
+        pairs = pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
+        return np.searchsorted(pairs[:, 0], np.arange(len(self.plane) + 1)), np.append(pairs[:, 1], 0)

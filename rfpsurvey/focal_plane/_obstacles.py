@@ -15,7 +15,7 @@ from rfpsurvey.positioner import convex_polygon, make_outline, with_normals
 
 def to_polygons(given) -> tuple[np.ndarray, ...]:
     """Return the vertices of each polygon (mm) in counter-clockwise order."""
-    return tuple(locked(convex_polygon(one, f"obstacle_polygons[{k}]")) for k, one in enumerate(given or ()))
+    return tuple(locked(convex_polygon(polygon, f"obstacle_polygons[{k}]")) for k, polygon in enumerate(given or ()))
 
 
 def find_polygons(columns) -> Polygons:
@@ -28,7 +28,7 @@ def find_polygons(columns) -> Polygons:
         outline = make_outline(shape, columns.xy, columns.central_arm)
         first = outline.table[:, : outline.n_vertices]
     start = first.shape[1] + np.cumsum([0, *map(len, polygons)]).astype(np.int64)
-    table = np.hstack([first, *(with_normals(one) for one in polygons)])
+    table = np.hstack([first, *(with_normals(polygon) for polygon in polygons)])
     return Polygons(locked(np.ascontiguousarray(table)), locked(start))
 
 
@@ -55,20 +55,18 @@ class FixedObstacles:
     def obstacle_pairs(self) -> np.ndarray:
         circles = self.obstacles
         if self.obstacle_polygons:
-            around = [
-                (*one.mean(axis=0), np.hypot(*(one - one.mean(axis=0)).T).max()) for one in self.obstacle_polygons
-            ]
+            around = [(*p.mean(axis=0), np.hypot(*(p - p.mean(axis=0)).T).max()) for p in self.obstacle_polygons]
             circles = np.vstack([circles, around])
         if len(circles) == 0:
             return locked(np.empty((0, 2), dtype=np.int64))
         most = (self.arm_reach.max() + circles[:, 2] + self.clearance) * 1.001 + 1
         near = scipy.spatial.cKDTree(self.xy).query_ball_point(circles[:, :2], most)
-        own = np.concatenate([np.array(rows, dtype=np.int64) for rows in near])
-        other = np.repeat(np.arange(len(circles)), list(map(len, near)))
-        apart = np.hypot(*(self.xy[own] - circles[other, :2]).T)
-        limit = self.arm_reach[own] + circles[other, 2] + self.clearance
+        owner = np.concatenate([np.array(rows, dtype=np.int64) for rows in near])
+        obstacle = np.repeat(np.arange(len(circles)), list(map(len, near)))
+        apart = np.hypot(*(self.xy[owner] - circles[obstacle, :2]).T)
+        limit = self.arm_reach[owner] + circles[obstacle, 2] + self.clearance
         keep = apart < limit * (1 + 1e-12) + self.touch_slack
-        pairs = np.column_stack([own, other])[keep]
+        pairs = np.column_stack([owner, obstacle])[keep]
         return locked(np.ascontiguousarray(pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]))
 
     @cached_property

@@ -38,35 +38,36 @@ def read_columns(table: Table, positioner: Positioner | None) -> dict:
         if name not in names:
             raise InputError(f"there is no column {name!r}; the columns are: {listed(names)}")
     xy = np.column_stack([_quantity(table, "x", u.mm), _quantity(table, "y", u.mm)])
-    unit, columns = np.ones(len(xy), dtype=bool), {}
+    is_positioner, columns = np.ones(len(xy), dtype=bool), {}
     for name, column in CIRCLES.items():
         if column in names:
             radius = _quantity(table, column, u.mm)
-            rows = np.isfinite(radius) & unit
-            unit &= ~rows
+            rows = np.isfinite(radius) & is_positioner
+            is_positioner &= ~rows
             if rows.any():
                 columns[name] = np.column_stack([xy[rows], radius[rows]])
-    columns |= {name: to_plain(table[name][unit], f"column {name!r}") for name in PLAIN if name in names}
-    columns |= {name: _quantity(table, name, u.mm)[unit] for name in LENGTHS if name in names}
+    columns |= {name: to_plain(table[name][is_positioner], f"column {name!r}") for name in PLAIN if name in names}
+    columns |= {name: _quantity(table, name, u.mm)[is_positioner] for name in LENGTHS if name in names}
     for name, pair in PAIRS.items():
         if {*pair} <= {*names}:
-            columns[name] = np.column_stack([_quantity(table, part, u.deg)[unit] for part in pair])
+            columns[name] = np.column_stack([_quantity(table, part, u.deg)[is_positioner] for part in pair])
     places = {}
     for column in names:
-        if column.startswith("fiber_x") and column.replace("fiber_x", "fiber_y", 1) in names:
-            pair = [_quantity(table, part, u.mm)[unit] for part in (column, column.replace("fiber_x", "fiber_y", 1))]
+        y_column = column.replace("fiber_x", "fiber_y", 1)
+        if column.startswith("fiber_x") and y_column in names:
+            pair = [_quantity(table, part, u.mm)[is_positioner] for part in (column, y_column)]
             places[column.removeprefix("fiber_x").removeprefix("_")] = np.column_stack(pair)
     if places:
         columns["fiber_xy"] = places
     if POLYGONS in table.meta:
-        columns["obstacle_polygons"] = [one * u.mm for one in table.meta[POLYGONS]]
-    columns["groups"] = {name: values for name in names if (values := _group(table, name, unit)) is not None}
+        columns["obstacle_polygons"] = [polygon * u.mm for polygon in table.meta[POLYGONS]]
+    columns["groups"] = {name: values for name in names if (values := _group(table, name, is_positioner)) is not None}
     _warn_of_ignored(names)
     if MARGINS in table.meta:
         columns["margins"] = Margins.from_numbers(table.meta[MARGINS])
     if positioner is None:
         positioner = _positioner_from_meta(table.meta.get("positioner"))
-    return {"xy": xy[unit], "positioner": positioner, **columns}
+    return {"xy": xy[is_positioner], "positioner": positioner, **columns}
 
 
 def is_group(name: str) -> bool:
@@ -79,7 +80,7 @@ def is_group(name: str) -> bool:
         *PLAIN,
         *LENGTHS,
         *CIRCLES.values(),
-        *(one for pair in PAIRS.values() for one in pair),
+        *(name for pair in PAIRS.values() for name in pair),
     }
     is_plain = " ".join(name.split()) == name and "/" not in name
     return is_plain and name not in known and not name.startswith(("fiber_x", "fiber_y"))
@@ -99,7 +100,7 @@ def _warn_of_ignored(names):
     """Issue a warning for each ignored column whose name is, or resembles, the name of a column that can be read."""
     pairs = [*PAIRS.values(), *((name, name.replace("_x", "_y", 1)) for name in names if name.startswith("fiber_x"))]
     pairs += [(name.replace("_y", "_x", 1), name) for name in names if name.startswith("fiber_y")]
-    partner = {name: other for pair in pairs for name, other in (pair, pair[::-1])}
+    partner = {name: paired for pair in pairs for name, paired in (pair, pair[::-1])}
     known = {"x", "y", *PLAIN, *LENGTHS, *CIRCLES.values(), *partner}
     for name in names:
         if name in partner and partner[name] not in names:
@@ -144,7 +145,7 @@ def to_table(plane) -> QTable:
             table[CIRCLES[name]] = radius * u.mm
     table.meta["positioner"] = _positioner_to_meta(plane.positioner)
     if plane.obstacle_polygons:
-        table.meta[POLYGONS] = [one.tolist() for one in plane.arrays.obstacle_polygons]
+        table.meta[POLYGONS] = [polygon.tolist() for polygon in plane.arrays.obstacle_polygons]
     if plane.margins:
         table.meta[MARGINS] = plane.margins.numbers
     return table

@@ -18,16 +18,16 @@ UNUSED = (FULL_OUTLINE, SEGMENT_CLEARANCE)
 """Names of entries that only `ArmModels.with_arm_model` reads; no result depends on these entries."""
 
 
-def _others(own: str, entries: Container[str]) -> tuple[str, ...]:
+def _others(arm_model: str, entries: Container[str]) -> tuple[str, ...]:
     """Return the other arm models of a positioner with an arm model and the names of its entries."""
-    simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(own, ())
-    if own == "outline" and "segment_clearance" in entries:
+    simpler = {"capsule": ("elbow_to_tip", "fiber_tip"), "elbow_to_tip": ("fiber_tip",)}.get(arm_model, ())
+    if arm_model == "outline" and "segment_clearance" in entries:
         simpler = ("elbow_to_tip", "fiber_tip")
     return (*simpler, *(("outline",) if "full_outline" in entries else ()))
 
 
-def _switch(entries: dict, own: str, arm_model: str, origin: dict) -> dict:
-    """Return the entries of a positioner with another arm model, one of `_others`, in place of ``own``.
+def _switch(entries: dict, present: str, arm_model: str, origin: dict) -> dict:
+    """Return the entries of a positioner with another arm model, one of `_others`, in place of ``present``.
 
     ``origin`` contains the status and the source of the new entry ``arm_model``.
     """
@@ -39,7 +39,7 @@ def _switch(entries: dict, own: str, arm_model: str, origin: dict) -> dict:
         entries["clearance"] = {"value": 0.0, "unit": "mm", **origin}
     else:
         entries.pop("arm_angle", None)
-    if own == "outline":
+    if present == "outline":
         entries["full_outline"] = entries.pop("outline")
         entries["clearance"] = entries.pop("segment_clearance")
     entries.pop("arm_length", None)
@@ -52,19 +52,19 @@ def switch_inherited(inherited: dict, given: dict) -> dict:
 
     The entries that are ``given`` in the description itself replace the inherited entries afterwards.
     """
-    own, new = (
+    present, new = (
         entry.get("value") if isinstance(entry, dict) else None
         for entry in (inherited.get("arm_model", {"value": "elbow_to_tip"}), given.get("arm_model"))
     )
-    if new not in ARM_MODELS or new == own:
+    if new not in ARM_MODELS or new == present:
         return inherited
     origin = {part: given["arm_model"].get(part) for part in ("status", "source")}
     segment = given.get("segment_clearance", given.get("clearance"))
-    if own == "outline" and segment is not None:
+    if present == "outline" and segment is not None:
         inherited = {**inherited, "segment_clearance": segment}
     simpler = "elbow_to_tip" if new == "capsule" else new  # an inherited outline has no capsule
-    if simpler != own and simpler in _others(own, inherited):
-        return _switch(inherited, own, simpler, origin)
+    if simpler != present and simpler in _others(present, inherited):
+        return _switch(inherited, present, simpler, origin)
     return {name: entry for name, entry in inherited.items() if name != "arm_length"}
 
 
@@ -74,8 +74,8 @@ class ArmModels:
     @property
     def arm_models(self) -> tuple[str, ...]:
         """Arm models that `with_arm_model` accepts; the first one is the present arm model of the instrument."""
-        own = self.focal_plane.positioner.arm_model
-        return (own, *_others(own, select_entries(self.values, SECTION)))
+        present = self.focal_plane.positioner.arm_model
+        return (present, *_others(present, select_entries(self.values, SECTION)))
 
     def with_arm_model(self, arm_model: str) -> Self:
         """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
@@ -114,11 +114,11 @@ class ArmModels:
             raise InputError(
                 f"arm_model must be one of {', '.join(self.arm_models)} for {self.name}, got {arm_model!r}"
             )
-        own = self.focal_plane.positioner.arm_model
-        if arm_model == own:
+        present = self.focal_plane.positioner.arm_model
+        if arm_model == present:
             return self
-        origin = {"status": "assumed", "source": f"with_arm_model; the arm model of the instrument is {own}"}
-        entries = _switch(select_entries(self.values, SECTION), own, arm_model, origin)
+        origin = {"status": "assumed", "source": f"with_arm_model; the arm model of the instrument is {present}"}
+        entries = _switch(select_entries(self.values, SECTION), present, arm_model, origin)
         values = {SECTION + name: entry for name, entry in entries.items()}
         values |= {name: entry for name, entry in self.values.items() if not name.startswith(SECTION)}
         changes = {"arm_model": arm_model, "arm_length": None, "outline": None}
@@ -126,7 +126,7 @@ class ArmModels:
             changes["outline"] = value_of(entries["outline"])
         else:
             changes["arm_angle"] = None
-        if "outline" in (own, arm_model):
+        if "outline" in (present, arm_model):
             changes["clearance"] = value_of(entries["clearance"])
         plane = self.focal_plane
         return replace(self, focal_plane=replace(plane, positioner=replace(plane.positioner, **changes)), values=values)

@@ -216,7 +216,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     kinds = instrument.focal_plane.fiber_types if by_type else [None]
     points, n_spread = _points(instrument, plane.plain, kinds)
     moved, drift = zip(*(displacements(points, kinds, *_field(instrument, plane, case)) for case in cases), strict=True)
-    moved = {name: np.concatenate([one[name] for one in moved]) * u.mm for name in MODELS}
+    moved = {name: np.concatenate([displacement[name] for displacement in moved]) * u.mm for name in MODELS}
     # models without the neglected effect differ from the model ``full`` only by rounding errors, which become 0
     moved = {name: np.where(values <= ROUNDING, 0 * u.mm, values) for name, values in moved.items()}
     drift = np.max(drift) * u.mm
@@ -246,10 +246,10 @@ def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int
     order = np.argsort(np.hypot(*arrays.xy.T), kind="stable")
     rows = np.unique(np.linspace(0, len(order) - 1, N_CENTERS).round().astype(int))
     points = np.array([np.vstack([arrays.xy[order[rows]], _edge(instrument.focal_plane)])] * len(kinds))
-    for own, kind in zip(points, kinds, strict=True):
+    for xy, kind in zip(points, kinds, strict=True):
         # the radial map of the fiber type can end inside the patrol areas
-        while (beyond := np.isnan(static.unproject(own, kind)).any(axis=1)).any():
-            own[beyond] *= SHRINK
+        while (beyond := np.isnan(static.unproject(xy, kind)).any(axis=1)).any():
+            xy[beyond] *= SHRINK
     return points, len(rows)
 
 

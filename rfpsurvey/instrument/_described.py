@@ -62,13 +62,13 @@ class Described:
         {'outer_mm': 0.3}
         """
         given = {name: value for name, value in margins.items() if value is not None}
-        found = Margins(**given) if given else self.published_margins
-        if not given and not found:
+        used = Margins(**given) if given else self.published_margins
+        if not given and not used:
             raise InputError(
                 f"the description of the instrument must contain margins, got none for {self.name}; give margins such "
                 "as outer=0.1 * u.mm (--set instrument.margins.outer=0.1)"
             )
-        return self.use_margins(found)
+        return self.use_margins(used)
 
     def use_margins(self, margins: Margins) -> Self:
         """Return the instrument with the given margins.
@@ -88,8 +88,8 @@ class Described:
     @property
     def cameras(self) -> dict[str, np.ndarray]:
         """Corners of the guide and focus cameras on the focal plane in mm, by the name of the camera."""
-        found = select_entries(self.values, f"{CAMERAS}.")
-        return {name: np.array(one["value"]) * u.Unit(one.get("unit", "mm")).to(u.mm) for name, one in found.items()}
+        entries = select_entries(self.values, f"{CAMERAS}.")
+        return {name: np.array(v["value"]) * u.Unit(v.get("unit", "mm")).to(u.mm) for name, v in entries.items()}
 
     def rules(self, name: str) -> tuple[str, ...]:
         """Return the rules that an observatory publishes for the plans of an instrument, as texts of constraints.
@@ -120,8 +120,8 @@ class Described:
         if not known:
             raise InputError(f"the instrument must have rules of the name {short(name)}, but {self.name} has no rules")
         check_choice(name, known, f"name of rules of {self.name}")
-        found = [one["value"] for one in select_entries(self.values, f"{RULES}{name}.").values()]
-        return tuple(text for value in found for text in ([value] if isinstance(value, str) else value))
+        values = [entry["value"] for entry in select_entries(self.values, f"{RULES}{name}.").values()]
+        return tuple(text for value in values for text in ([value] if isinstance(value, str) else value))
 
     def projection(
         self,

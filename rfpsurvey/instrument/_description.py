@@ -38,14 +38,14 @@ def load(path: Path, inheriting: tuple = ()) -> dict:
         known = {file.stem for folder in (path.parent, PRESETS) for file in folder.glob("*.toml")} - {path.stem}
         beside = PRESETS / f"{check_choice(parent, known, f'value of inherits in {path}:')}.toml"
     base = load(beside, (*inheriting, path))
-    own = content.get("positioner")
-    if isinstance(own, dict) and isinstance(base.get("positioner"), dict):
-        base["positioner"] = switch_inherited(base["positioner"], own)
+    section = content.get("positioner")
+    if isinstance(section, dict) and isinstance(base.get("positioner"), dict):
+        base["positioner"] = switch_inherited(base["positioner"], section)
     if isinstance(content.get("layout"), dict) and isinstance(base.get("layout"), dict):
         base["layout"] = without_replaced(base["layout"], content["layout"])
     for key, value in content.items():
-        both = isinstance(value, dict) and isinstance(base.get(key), dict)
-        base[key] = {**base[key], **value} if both else value
+        merges = isinstance(value, dict) and isinstance(base.get(key), dict)
+        base[key] = {**base[key], **value} if merges else value
     return base
 
 
@@ -70,7 +70,7 @@ def build(content: dict, folder: Path) -> dict:
     focal_plane = _layout(Positioner(**options), get, folder)
     entry = values.get("layout.obstacle_polygons")
     if entry is not None:
-        polygons = [one * u.Unit(entry["unit"]) for one in entry["value"]]
+        polygons = [polygon * u.Unit(entry["unit"]) for polygon in entry["value"]]
         polygons = [*(focal_plane.obstacle_polygons or ()), *polygons]  # walls of modules remain
         focal_plane = replace(focal_plane, obstacle_polygons=polygons)
     maps = {

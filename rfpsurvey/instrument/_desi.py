@@ -68,7 +68,7 @@ def read(preset, path, *, state=None, exclusions=None, time=None):
 
 
 def _from_metrology(preset, table, path):
-    table, others = _positioners(table, METROLOGY, path)
+    table, unused = _positioners(table, METROLOGY, path)
     plane = _plane(
         path,
         xy=_centers(table, "X_FP", "Y_FP", path),
@@ -81,16 +81,16 @@ def _from_metrology(preset, table, path):
         "layout.spectrographs": _entry(len(np.unique(plane.spectrograph)), path, "PETAL_LOC"),
         "positioner.phi_range": {**preset.values["positioner.phi_range"], "value": _limits(plane.positioner.phi_range)},
     }
-    notes = f"The centers of the {len(plane)} positioners are taken from {path.name}; the arms are nominal.{others}"
+    notes = f"The centers of the {len(plane)} positioners are taken from {path.name}; the arms are nominal.{unused}"
     return _built(preset, plane, entries, notes)
 
 
 def _from_model(preset, table, path, state, exclusions, moment):
-    table, others = _positioners(table, MODEL, path)
+    table, unused = _positioners(table, MODEL, path)
     ids = whole(table, "LOCATION", path)
     r1, r2 = (numbers(table, name, u.mm, path, LONGEST, low=SHORTEST) for name in ("LENGTH_R1", "LENGTH_R2"))
     angles = {name: numbers(table, name, u.deg, path, MOST_ANGLE, codes=name[:3] == "OFF") for name in ANGLES}
-    notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{others}"], {}, None
+    notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{unused}"], {}, None
     impossible = {}
     if state is None:
         notes.append("No state was given; therefore, all positioners count as working.")
@@ -207,7 +207,7 @@ def _positioners(table, names, path):
         warn(f"{path}: DESI has {N_POSITIONERS} positioners, but the file has {rows.sum()} and may be incomplete")
     types, counts = np.unique(kinds[~rows], return_counts=True)
     counts = ", ".join(f"{n} {kind or 'without type'}" for kind, n in zip(types, counts, strict=True))
-    others = f" Rows of other devices are not used: {counts}." if counts else ""
+    unused = f" Rows of other devices are not used: {counts}." if counts else ""
     table = table[rows]
     ids, petal, device = (whole(table, name, path) for name in names[:3])
     for k in np.flatnonzero(ids != 1000 * petal + device):
@@ -216,4 +216,4 @@ def _positioners(table, names, path):
             f"{names[2]} {device[k]}"
         )
     check_unique(ids, f"{path}: LOCATION")
-    return table, others
+    return table, unused

@@ -18,7 +18,7 @@ from rfpsurvey.positioner import ArmOutline, divide_polygon
 STATE = ("TIME", "LOCATION", "STATE")
 POSE = ("POS_T", "POS_P")
 LIMITS = ("MIN_T", "MAX_T", "MIN_P", "MAX_P")
-STUCK, BROKEN, RESTRICTED = 2, 4, 8
+STUCK, BROKEN, RESTRICTED = 2, 4, 8  # bits of the column STATE
 NAME = re.compile(r"desi-(focalplane|state|exclusion)_(.+?)\.(?:ecsv|yaml|json)(?:\.gz)?")
 MOST_YAML, MOST_JSON = 2**22, 2**26
 """Largest number of bytes of a file; YAML is slow to read, and only small files are in this format."""
@@ -31,18 +31,18 @@ def moment_of(value: object, what: str) -> datetime:
     with refusing(f"{what} must be a Time or text such as '2021-05-14T00:00:00'", value, str, Time):
         if isinstance(value, Time):
             return value.utc.to_datetime(timezone=UTC)
-        found = datetime.fromisoformat(value)
-    return found.replace(tzinfo=UTC) if found.tzinfo is None else found.astimezone(UTC)
+        moment = datetime.fromisoformat(value)
+    return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)
 
 
 def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, Path]]:
     """Return the file of the latest focal plane that was valid at a time, and the other files with the same date."""
-    found = {}
+    by_date = {}
     for file in entries_of(folder):
         if match := NAME.fullmatch(file.name):
             date = moment_of(match[2], f"{file}: the date in the name")
-            found.setdefault(date, {})[match[1]] = file
-    dates = sorted(date for date, files in found.items() if "focalplane" in files)
+            by_date.setdefault(date, {})[match[1]] = file
+    dates = sorted(date for date, files in by_date.items() if "focalplane" in files)
     if not dates:
         raise InputError(f"{folder}: the folder must have a file desi-focalplane_DATE.ecsv, got none")
     valid = dates if moment is None else [date for date in dates if date <= moment]
@@ -50,7 +50,7 @@ def find_latest(folder: Path, moment: datetime | None) -> tuple[Path, dict[str, 
         raise InputError(
             f"{folder}: time must not be before the first focal plane, {dates[0].isoformat()}, got {moment.isoformat()}"
         )
-    files = found[valid[-1]]
+    files = by_date[valid[-1]]
     return files.pop("focalplane"), files
 
 
@@ -73,13 +73,13 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
             f"{moment.isoformat()}"
         )
     last = dict(zip(location[rows].tolist(), rows.tolist(), strict=True))  # for repeated keys, the last value is kept
-    row = np.array([last.get(one, -1) for one in ids.tolist()])
+    row = np.array([last.get(name, -1) for name in ids.tolist()])
     known = row >= 0
     if not known.all():
         warn(f"{path}: {some(ids, ~known)} of the focal plane have no state and count as working")
-    own = table[row[known]]
+    events = table[row[known]]
     state = np.zeros(len(ids), dtype=np.int64)
-    state[known] = whole(own, "STATE", path)
+    state[known] = whole(events, "STATE", path)
     odd = (state & ~(STUCK | BROKEN | RESTRICTED)) != 0
     if odd.any():
         warn(f"{path}: {some(ids, odd)} have unknown bits in their STATE and are disabled")
@@ -88,17 +88,18 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     doubtful = odd | ~known
     for name, column in values.items():
         most = MOST_ANGLE if name in LIMITS else np.inf
-        column[known] = numbers(own, name, u.deg, path, most)
+        column[known] = numbers(events, name, u.deg, path, most)
         wrong = is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)
         doubtful |= wrong & ~np.isnan(column) & (fixed | (name in LIMITS))
         column[wrong] = np.nan
+    # the focal plane is the mirror image of that in CS5, so that angles have the opposite signs
     pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
     pose[~fixed] = np.nan
     lost = fixed & np.isnan(pose).any(axis=1)
     pose[lost] = np.nan
     polygons = np.full(len(ids), "default", dtype=object)
     if "EXCLUSION" in table.colnames:
-        polygons[known] = np.char.strip(to_plain(own["EXCLUSION"], f"{path}: column 'EXCLUSION'").astype(str))
+        polygons[known] = np.char.strip(to_plain(events["EXCLUSION"], f"{path}: column 'EXCLUSION'").astype(str))
     counts = {
         "stuck": (state & STUCK) != 0,
         "with a broken fiber": (state & BROKEN) != 0,
@@ -110,9 +111,9 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         f"The state is taken from {path.name}, after the event of {max(when[text] for text in past).isoformat()}: "
         f"{parts or 'all positioners work'}."
     )
-    others = len(set(location.tolist()) - set(ids.tolist()))
-    if others:
-        text += f" The events of {number_of(others, 'other device')} are not used."
+    n_unused = len(set(location.tolist()) - set(ids.tolist()))
+    if n_unused:
+        text += f" The events of {number_of(n_unused, 'other device')} are not used."
     columns = {"disabled": (state & BROKEN).astype(bool) | odd | lost, "stuck": pose * u.deg}
     limits = {name: column for name, column in values.items() if name in LIMITS}
     return columns, limits, polygons.astype(str), text, np.count_nonzero(doubtful)
@@ -131,20 +132,20 @@ def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[float, 
         if name not in polygons:
             raise InputError(f"{path}: there must be polygons with the name {name!r}, got none")
         widths[name] = _half_width(polygons[name], f"{path}: the phi polygon {name!r}")
-    found = np.array([widths[name] for name in names.tolist()])
+    half_widths = np.array([widths[name] for name in names.tolist()])
     text = (
         f"The clearance of segments is the median of the half widths of the phi polygons in {path.name}, which range "
-        f"from {found.min():.3f} to {found.max():.3f} mm."
+        f"from {half_widths.min():.3f} to {half_widths.max():.3f} mm."
     )
-    most, others = str(different[np.argmax(counts)]), n - int(counts.max())
+    most, n_replaced = str(different[np.argmax(counts)]), n - int(counts.max())
     try:
         outline = find_outline(polygons[most])
     except (InputError, KeyError, IndexError, TypeError, ValueError):
         text += f" The polygons with the name {most!r} do not form a valid outline; segments replace the outlines."
-        return float(np.median(found)), None, text
+        return float(np.median(half_widths)), None, text
     text += f" The outline of each positioner consists of the polygons with the name {most!r}"
-    text += f", which also replace other polygons of {number_of(others, 'positioner')}." if others else "."
-    return float(np.median(found)), outline, text
+    text += f", which also replace other polygons of {number_of(n_replaced, 'positioner')}." if n_replaced else "."
+    return float(np.median(half_widths)), outline, text
 
 
 def _half_width(polygon: object, what: str) -> float:
@@ -170,13 +171,13 @@ def _load(path: Path) -> dict:
         if is_yaml:
             import yaml  # a dependency of astropy
 
-            found = yaml.load(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
+            polygons = yaml.load(content, getattr(yaml, "CSafeLoader", yaml.SafeLoader))
         else:
-            found = json.loads(content)
-    if not isinstance(found, dict):
-        raise InputError(f"{path}: the file must contain a dict of polygons, got {type(found).__name__}")
-    check_size(found, path, most_values=MOST_VALUES)
-    return found
+            polygons = json.loads(content)
+    if not isinstance(polygons, dict):
+        raise InputError(f"{path}: the file must contain a dict of polygons, got {type(polygons).__name__}")
+    check_size(polygons, path, most_values=MOST_VALUES)
+    return polygons
 
 
 def find_outline(polygons: dict) -> ArmOutline:
@@ -194,7 +195,7 @@ def _parts(shape: dict) -> list:
     """Return the convex parts of a shape that consists of lines and circles."""
     lines = [np.array(line, dtype=float).reshape(-1, 2) for line in shape["segments"] if len(line)]
     closed = [line for line in lines if len(line) > 3 and np.allclose(line[0], line[-1])]
-    open_lines = [line for line in lines if not any(line is one for one in closed)]
+    open_lines = [line for line in lines if not any(line is ring for ring in closed)]
     rings = [line[:-1] for line in closed] + ([_joined(open_lines)] if open_lines else [])
     parts = [part for ring in rings for part in ((ring * u.mm,) if len(ring) < 3 else divide_polygon(ring * u.mm))]
     return parts + [
@@ -204,10 +205,10 @@ def _parts(shape: dict) -> list:
 
 def _joined(lines: list[np.ndarray]) -> np.ndarray:
     """Return the vertices of all lines as one sequence; each line starts near the end of the preceding line."""
-    found, *others = lines
-    while others:
-        gaps = [[np.hypot(*(line[end] - found[-1])) for end in (0, -1)] for line in others]
-        k, end = np.unravel_index(np.argmin(gaps), (len(others), 2))
-        line = others.pop(k)
-        found = np.concatenate([found, line[::-1] if end else line])
-    return found
+    joined, *remaining = lines
+    while remaining:
+        gaps = [[np.hypot(*(line[end] - joined[-1])) for end in (0, -1)] for line in remaining]
+        k, end = np.unravel_index(np.argmin(gaps), (len(remaining), 2))
+        line = remaining.pop(k)
+        joined = np.concatenate([joined, line[::-1] if end else line])
+    return joined

@@ -46,14 +46,14 @@ def numbers(
         in_file = np.zeros(table[ROW].max(), dtype=bool)
         in_file[table[ROW][missing] - 1] = True
         raise InputError(f"{what} must hold a finite number for each row, but {rows_of(in_file)} have none")
-    found = (values * given).to_value(unit)
+    converted = (values * given).to_value(unit)
     low = -most if low is None else low
-    for k in np.flatnonzero(is_missing(found, low, most, codes=codes)):
+    for k in np.flatnonzero(is_missing(converted, low, most, codes=codes)):
         raise InputError(
             f"{what} must hold numbers from {low:g} to {most:g} {unit}{', and no codes such as 99 or -999' * codes}, "
-            f"got {found[k]:g} in row {table[ROW][k]}"
+            f"got {converted[k]:g} in row {table[ROW][k]}"
         )
-    return found
+    return converted
 
 
 def whole(table, name: str, path) -> np.ndarray:
@@ -78,7 +78,7 @@ def some(ids, mask) -> str:
 def _example(values) -> str:
     if values.ndim != 1:
         return f"the shape {values.shape}"
-    text = [one for one in values.tolist() if not is_number(one)]
+    text = [value for value in values.tolist() if not is_number(value)]
     return f"{values.dtype.name}" if not text else f"{text[0]!r}"
 
 

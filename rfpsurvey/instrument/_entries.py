@@ -20,8 +20,7 @@ NEED = re.compile(r"observing\.(?:(\w+)_)??(sky|standards)(_per_spectrograph)?")
 class Kind:
     """The kind of value that an entry must have."""
 
-    what: str
-    """Text that follows "must be" in error messages."""
+    what: str  # text that follows "must be" in error messages
     fits: Callable[[object], bool]
     unit: u.UnitBase | None = None
 
@@ -65,7 +64,7 @@ def _keys(needed: dict[str, Callable], **optional: Callable) -> Callable:
 
 def _either(*fits: Callable) -> Callable:
     """Return the function that states whether a value fits one of several functions."""
-    return lambda value: any(one(value) for one in fits)
+    return lambda value: any(fit(value) for fit in fits)
 
 
 def _choice(*names: str) -> Kind:
@@ -224,7 +223,7 @@ def value_of(entry: dict) -> object:
         return ArmOutline.from_dict(value, unit)
     if "unit" not in entry:
         return value
-    return {kind: one * unit for kind, one in value.items()} if isinstance(value, dict) else value * unit
+    return {kind: number * unit for kind, number in value.items()} if isinstance(value, dict) else value * unit
 
 
 def with_defaults(content: dict) -> dict:
@@ -290,7 +289,7 @@ def _check_entry(section: str, name: str, entry: object) -> None:
 
 def _refuse_name(section: str, name: str) -> None:
     """Raise an error for an unknown name in a section; the message contains a similar name or the correct section."""
-    home = [other for other, kinds in SECTION_ENTRIES.items() if name in kinds]
+    home = [section for section, kinds in SECTION_ENTRIES.items() if name in kinds]
     if name in TOP:
         raise InputError(
             f"[{section}] must not have the entry {name!r}, which belongs at the top of the file, before all sections"

@@ -105,8 +105,8 @@ def field_angles(instrument, radius: np.ndarray) -> np.ndarray:
         return np.arctan(radius / instrument.plate_scale.to_value(u.mm / u.rad))
     maps = instrument.distortion
     maps = list(maps.values()) if isinstance(maps, dict) else [maps]
-    found = [(m.to_angle(radius * u.mm).to_value(u.rad), m.max_angle.to_value(u.rad)) for m in maps]
-    return np.max([np.where(np.isnan(angle), most, angle) for angle, most in found], axis=0)
+    angles = [(m.to_angle(radius * u.mm).to_value(u.rad), m.max_angle.to_value(u.rad)) for m in maps]
+    return np.max([np.where(np.isnan(angle), most, angle) for angle, most in angles], axis=0)
 
 
 def fact_texts(facts: dict) -> dict[str, str]:
@@ -147,6 +147,7 @@ def _outline(xy: np.ndarray, radius: np.ndarray) -> np.ndarray:
     """Return the corners of the convex hull of discs around centers (mm), in counter-clockwise order."""
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     outward = np.column_stack([np.cos(angle), np.sin(angle)])
+    # in each direction, the hull is as far as the farthest disc
     far = np.argmax(xy @ outward.T + radius[:, None], axis=0)
     return xy[far] + radius[far, None] * outward
 
@@ -175,14 +176,15 @@ def _shape(xy: np.ndarray, outline: np.ndarray) -> str:
     corners = hull.points[hull.vertices]
     after = np.roll(corners, -1, axis=0)
     weight = corners[:, 0] * after[:, 1] - corners[:, 1] * after[:, 0]
+    # the centroid of the hull
     center = ((corners + after) * weight[:, None]).sum(axis=0) / (3 * weight.sum())
     angle = 2 * np.pi * np.arange(N_DIRECTIONS) / N_DIRECTIONS
     slope = hull.equations[:, :2] @ np.array([np.cos(angle), np.sin(angle)])
     depth = -(hull.equations[:, 2] + hull.equations[:, :2] @ center)[:, None]
     radius = np.min(np.where(slope > 1e-12, depth / np.where(slope > 1e-12, slope, 1.0), np.inf), axis=0)
-    found = {name: _difference(radius / radius.mean(), angle, n) for name, n in SHAPES.items()}
-    best = min(found, key=found.get)
-    return best if found[best] < SIMILAR else "irregular"
+    differences = {name: _difference(radius / radius.mean(), angle, n) for name, n in SHAPES.items()}
+    best = min(differences, key=differences.get)
+    return best if differences[best] < SIMILAR else "irregular"
 
 
 def _difference(radius: np.ndarray, angle: np.ndarray, n_corners: int) -> float:

@@ -44,7 +44,7 @@ class Written:
         table, optics = self.focal_plane.to_table(), self.distortion
         about = {name: getattr(self, name) for name in PLAIN} | {"plate_scale": _text(self.plate_scale)}
         if isinstance(optics, dict):
-            about["distortions"] = {name: _map_to_meta(one) for name, one in optics.items()}
+            about["distortions"] = {name: _map_to_meta(field_map) for name, field_map in optics.items()}
         elif optics is not None:
             about["distortion"] = _map_to_meta(optics)
         table.meta[META] = json.dumps(about)  # YAML would sort the names and change some numbers
@@ -55,13 +55,13 @@ def read_instrument(path: Path) -> dict:
     """Return the arguments of `Instrument` in a file that its method ``write`` wrote."""
     table = read_table(path)
     about = parse_json(table.meta.pop(META, None), f"the entry {META} of meta")
-    found = {name: about[name] for name in PLAIN if name in about}
-    found["focal_plane"] = FocalPlane.from_table(QTable(table))
+    values = {name: about[name] for name in PLAIN if name in about}
+    values["focal_plane"] = FocalPlane.from_table(QTable(table))
     if "distortion" in about:
-        return found | {"distortion": _map_from_meta(about["distortion"])}
+        return values | {"distortion": _map_from_meta(about["distortion"])}
     if "distortions" in about:
-        return found | {"distortion": {name: _map_from_meta(one) for name, one in about["distortions"].items()}}
-    return found | {"plate_scale": u.Quantity(about["plate_scale"])}
+        return values | {"distortion": {name: _map_from_meta(meta) for name, meta in about["distortions"].items()}}
+    return values | {"plate_scale": u.Quantity(about["plate_scale"])}
 
 
 def _text(value: object) -> object:
@@ -75,7 +75,7 @@ def _text(value: object) -> object:
 def _map_to_meta(optics: RadialMap | DistortionMap) -> dict:
     if not is_dataclass(optics) or getattr(optics, "residuals", None) is not None:
         raise InputError("an instrument with a distortion map that contains residuals cannot be written")
-    values = {one.name: getattr(optics, one.name) for one in fields(optics)}
+    values = {field.name: getattr(optics, field.name) for field in fields(optics)}
     return {name: _text(value) for name, value in values.items() if value is not None}
 
 

@@ -130,19 +130,19 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
     @property
     def target_density(self) -> u.Quantity:
         """Target density (per solid angle) for which a field has ``targets_per_fiber`` targets per positioner."""
-        area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr
+        area = 4 * np.pi * np.sin(self.field_radius.to_value(u.rad) / 2) ** 2 * u.sr  # of a spherical cap
         return (self.targets_per_fiber * len(self.focal_plane) / area).to(u.deg**-2)
 
     @property
     def requirements(self) -> tuple[str, ...]:
         """Requirements on sky fibers and standard stars for `allocate`, such as ``sky=20/spectrograph``."""
-        found = []
+        texts = []
         for name, entry in self.values.items():
             if match := NEED.fullmatch(name):
                 fiber, kind, per = match.groups()
                 fiber = f"@{fiber.upper()}" if fiber else ""
-                found.append(f"{kind.removesuffix('s')}{fiber}={entry['value']}{'/spectrograph' if per else ''}")
-        return tuple(found)
+                texts.append(f"{kind.removesuffix('s')}{fiber}={entry['value']}{'/spectrograph' if per else ''}")
+        return tuple(texts)
 
     @classmethod
     def preset(cls, name: str) -> "Instrument":
@@ -198,9 +198,9 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
         path = to_path(path)
         moments_at(time)  # refuse an invalid time, even if the description has no states with dates
         if is_present(path) and path.suffix.lower() != ".toml":
-            found = cls._read_as_built(path, time)
-            if found is not None:
-                return found
+            instrument = cls._read_as_built(path, time)
+            if instrument is not None:
+                return instrument
             if path.is_dir():
                 raise InputError(
                     f"{path}: the folder must contain positionerTable.csv (SDSS-V), desi-focalplane_DATE.ecsv or "
@@ -209,8 +209,8 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
         try:
             if path.suffix.lower() == ".ecsv":
                 return cls(**read_instrument(path))
-            found = cls(**_description.build(_description.load(path), path.parent))
-            return apply_entry(found, path.parent, time) if LISTED in found.values else found
+            instrument = cls(**_description.build(_description.load(path), path.parent))
+            return apply_entry(instrument, path.parent, time) if LISTED in instrument.values else instrument
         except InputError as error:
             raise InputError(str(error) if str(error).startswith(str(path)) else f"{path}: {error}") from None
         except (KeyError, TypeError, ValueError, AttributeError) as error:
@@ -280,10 +280,10 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
     def provenance(self) -> dict:
         """Information about the instrument that is stored in the records of results."""
         plain = {name: v["value"] for name, v in self._used.items() if not isinstance(v["value"], list)}
-        own = {"name": self.name, "arm_model": self.focal_plane.positioner.arm_model, "layout": self.layout}
+        about = {"name": self.name, "arm_model": self.focal_plane.positioner.arm_model, "layout": self.layout}
         margins = self.focal_plane.margins
-        own |= {"margins": margins.record} if margins else {}
-        return {**own, "values": plain, "digest": self._digest}
+        about |= {"margins": margins.record} if margins else {}
+        return {**about, "values": plain, "digest": self._digest}
 
     @property
     def _used(self) -> dict:
@@ -373,13 +373,13 @@ def available_instruments() -> list[str]:
 
 def every_instrument() -> dict[str, Instrument]:
     """Return all presets by name; issue a warning for each invalid preset of another package."""
-    found = {}
+    instruments = {}
     for name in available_instruments():
         try:
-            found[name] = Instrument.preset(name)
+            instruments[name] = Instrument.preset(name)
         except InputError as error:
             warn(str(error))
-    return found
+    return instruments
 
 
 def _shipped() -> dict[str, Path]:

@@ -20,12 +20,12 @@ ONLY_LATTICE += ("fiber_types", "first_type_only_cells")
 """Entries of layouts without modules."""
 
 
-def without_replaced(base: dict, own: dict) -> dict:
+def without_replaced(base: dict, entries: dict) -> dict:
     """Return the entries of an inherited layout that remain if the own entries state other modules or places."""
-    replaced = {*ONLY_MODULES} if "table" in own else {*RADII} if {*RADII} & {*own} else set()
-    replaced |= {*GENERATED, *RADII, "fiducial_radius"} if "modules" in own else set()
-    replaced |= {"module_rows", "module_corners", "pitch"} if "module_places" in own else set()
-    return {name: entry for name, entry in base.items() if name not in replaced - {*own}}
+    replaced = {*ONLY_MODULES} if "table" in entries else {*RADII} if {*RADII} & {*entries} else set()
+    replaced |= {*GENERATED, *RADII, "fiducial_radius"} if "modules" in entries else set()
+    replaced |= {"module_rows", "module_corners", "pitch"} if "module_places" in entries else set()
+    return {name: entry for name, entry in base.items() if name not in replaced - {*entries}}
 
 
 def has_modules(get: Callable) -> bool:
@@ -46,7 +46,7 @@ def layout_of_modules(positioner: Positioner, get: Callable, folder: Path) -> Fo
     else:
         lacking = [name for name in GENERATED if get(f"layout.{name}") is None]
         radii = {name: get(f"layout.{name}") for name in RADII}
-        radii = {name: one for name, one in radii.items() if one is not None}
+        radii = {name: radius for name, radius in radii.items() if radius is not None}
         if lacking or len(radii) != 1:
             got = listed(lacking) if lacking else f"{len(radii)} radii"
             raise InputError(
@@ -109,9 +109,9 @@ def _listed_modules(given: str | list, folder: Path) -> tuple[np.ndarray, np.nda
 
     def numbers(name, unit):
         column = table[name]
-        own = getattr(column, "unit", None) or unit
+        column_unit = getattr(column, "unit", None) or unit
         values = np.ma.asarray(getattr(column, "value", column)).astype(float)
-        return u.Quantity(np.ma.filled(values, np.nan), own).to_value(unit)
+        return u.Quantity(np.ma.filled(values, np.nan), column_unit).to_value(unit)
 
     if {"rotation", "points_up"} <= {*table.colnames}:
         raise InputError(f"{given} must have either the column rotation or the column points_up, got both")
@@ -131,8 +131,8 @@ def _classes(get: Callable, places: u.Quantity) -> dict:
         return {}
     kinds, of = list(classes), np.full(n, -1)
     arms = {name: np.empty(n) for name in ("central_arm", "eccentric_arm")}
-    for k, own in enumerate(classes.values()):
-        rows = np.array(own.get("places", []), dtype=int)
+    for k, content in enumerate(classes.values()):
+        rows = np.array(content.get("places", []), dtype=int)
         if len(rows) and (rows.min() < 1 or rows.max() > n):
             wrong = rows[(rows < 1) | (rows > n)][0]
             raise InputError(f"places of {kinds[k]!r} must be numbers from 1 to {n}, got {wrong}")
@@ -140,13 +140,13 @@ def _classes(get: Callable, places: u.Quantity) -> dict:
             twice = next(row for row in rows.tolist() if of[row - 1] >= 0 or rows.tolist().count(row) > 1)
             raise InputError(f"each place of a module must be in one class, got two for the place {twice}")
         of[rows - 1] = k
-    others = [k for k, own in enumerate(classes.values()) if "places" not in own]
-    if len(others) > 1 or ((of < 0).any() and not others):
+    unlisted = [k for k, content in enumerate(classes.values()) if "places" not in content]
+    if len(unlisted) > 1 or ((of < 0).any() and not unlisted):
         raise InputError(
             "exactly one class of module_classes must have no places, and contains all other places, got "
-            f"{len(others)} of them"
+            f"{len(unlisted)} of them"
         )
-    of[of < 0] = others[0] if others else 0
+    of[of < 0] = unlisted[0] if unlisted else 0
     for name, values in arms.items():
         values[:] = [classes[kinds[k]].get(name, get(f"positioner.{name}").to_value(u.mm)) for k in of]
     return {"fiber_type": np.array(kinds)[of], **{name: values * u.mm for name, values in arms.items()}}

@@ -47,16 +47,16 @@ def find_pfs_files(path: Path) -> dict | None:
     """
     if path.is_file():
         return {"dots": path} if _is_file_of_dots(path) else None
-    own = entries_of(path) if path.is_dir() else []
-    others = [folder for folder in (path / "dot", path / "fiducials") if is_present(folder)]
-    if not any(fnmatchcase(file.name, PATTERNS["dots"]) for file in own) and not any(map(Path.is_dir, others)):
+    top_level = entries_of(path) if path.is_dir() else []
+    folders = [folder for folder in (path / "dot", path / "fiducials") if is_present(folder)]
+    if not any(fnmatchcase(file.name, PATTERNS["dots"]) for file in top_level) and not any(map(Path.is_dir, folders)):
         return None
-    entries = own + [file for folder in others for file in entries_of(folder)]
-    found = {name: [file for file in entries if fnmatchcase(file.name, PATTERNS[name])] for name in PATTERNS}
-    if not found["dots"]:
+    entries = top_level + [file for folder in folders for file in entries_of(folder)]
+    by_kind = {name: [file for file in entries if fnmatchcase(file.name, PATTERNS[name])] for name in PATTERNS}
+    if not by_kind["dots"]:
         return None
-    files = {name: paths[-1] for name, paths in found.items() if paths}
-    models = [file for file in own if file.suffix == ".xml"]
+    files = {name: paths[-1] for name, paths in by_kind.items() if paths}
+    models = [file for file in top_level if file.suffix == ".xml"]
     return {**files, "cobras": models} if models else files
 
 
@@ -147,11 +147,11 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
         f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
         "contain the poses of cobras that cannot move"
     )
-    others = (np.flatnonzero(unknown) + 1).tolist()
+    impossible = (np.flatnonzero(unknown) + 1).tolist()
     return columns, text + (
         f"; cobras with impossible arm lengths (outside 1 to 5 mm), joint limits or centers have nominal values and "
-        f"are also parked: {', '.join(map(str, others))}."
-        if others
+        f"are also parked: {', '.join(map(str, impossible))}."
+        if impossible
         else "."
     )
 
@@ -172,6 +172,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     extended = folded + most  # the limit of phi, measured from the extended arm
     lengths = (1.0, 1.0) if arms is None else (columns[f"{name}_arm"][rows].value for name in ("central", "eccentric"))
     width = (end - begin) % 360 + _largest_lag(extended, *lengths)
+    # with arms of equal length, the limit of phi leaves the fraction cos^2(phi / 2) of the patrol area
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)
     theta, phi = (
         columns.get(name, np.full((N, 2), np.nan) * u.deg).to_value(u.deg).copy()

@@ -208,10 +208,10 @@ def _containers(path: Path):
         root = ElementTree.fromstring(content)
     except (ElementTree.ParseError, ValueError, LookupError) as error:
         raise InputError(f"{path} cannot be read as XML: {sentence(error)}") from None
-    found = root.findall("ARM_DATA_CONTAINER")
-    if not found:
+    containers = root.findall("ARM_DATA_CONTAINER")
+    if not containers:
         raise InputError(f"{path}: the XML must have elements ARM_DATA_CONTAINER, one per cobra, got none")
-    for number, container in enumerate(found, 1):
+    for number, container in enumerate(containers, 1):
         row = {}
         for section, names in (("DATA_HEADER", HEADER), ("KINEMATICS", KINEMATICS)):
             for name, tag in names.items():

@@ -136,9 +136,9 @@ class _Rows:
 
     def keep_site(self, site: str | None) -> str:
         """Keep the rows of a site, and return the site; None stands for the only site of the table."""
-        found = self.text("site")
+        site_of = self.text("site")
         if site is None:
-            sites = np.unique(found).tolist()
+            sites = np.unique(site_of).tolist()
             if len(sites) > 1:
                 raise InputError(
                     f"{self.path}: site must be one of {', '.join(sites)}, because the table has several sites"
@@ -146,11 +146,11 @@ class _Rows:
             site = sites[0]
         if site not in PRESETS:
             raise InputError(f"{self.path}: site must be {' or '.join(PRESETS)}, got {site!r}")
-        if not (found == site).any():
+        if not (site_of == site).any():
             raise InputError(
-                f"{self.path}: the table must have rows of the site {site}, got {listed(np.unique(found).tolist())}"
+                f"{self.path}: the table must have rows of the site {site}, got {listed(np.unique(site_of).tolist())}"
             )
-        self.keep(found == site)
+        self.keep(site_of == site)
         return site
 
     def keep(self, rows: np.ndarray) -> None:
@@ -231,10 +231,10 @@ def _fiber_types(folder, site, robots, notes) -> tuple[np.ndarray, set[str]]:
     rows = _Rows(path, ("site", "holeID", "Device", "BOSSFiber", "APOGEEFiber"))
     rows.keep_site(site)
     is_robot = np.char.lower(rows.text("Device")) == "positioner"
-    others = int((~is_robot).sum())
+    n_unused = int((~is_robot).sum())
     rows.keep(is_robot)
     index = rows.rows_of(holes)
-    notes.append(f"fiberAssignments.csv has {number_of(others, 'row')} of other devices, which are not used.")
+    notes.append(f"fiberAssignments.csv has {number_of(n_unused, 'row')} of other devices, which are not used.")
     lacking, extra = holes[index < 0], len(rows) - int((index >= 0).sum())
     if len(lacking):
         notes.append(f"These robots have no row in fiberAssignments.csv and thus no fibers: {', '.join(lacking)}.")
@@ -264,12 +264,12 @@ def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
             robots.doubt(wrong, column)
         places[name] = np.where(wrong[:, None], np.nan, place)
     arm = nominal.arrays.central_arm[0]
-    own = {"alphaArmLen": robots.numbers("alphaArmLen", arm * (1 + ARMS_DIFFER), low=arm * (1 - ARMS_DIFFER))}
-    own |= {name: robots.numbers(name, most) for name, most in MOST_OFFSET.items()}
-    bad = ~np.isfinite(list(own.values())).all(axis=0)
+    geometry = {"alphaArmLen": robots.numbers("alphaArmLen", arm * (1 + ARMS_DIFFER), low=arm * (1 - ARMS_DIFFER))}
+    geometry |= {name: robots.numbers(name, most) for name, most in MOST_OFFSET.items()}
+    bad = ~np.isfinite(list(geometry.values())).all(axis=0)
     notes += robots.note()
     standard = {"alphaArmLen": arm, **dict.fromkeys(OFFSETS, 0.0)}
-    values = {name: np.where(bad, standard[name], v) for name, v in own.items()}
+    values = {name: np.where(bad, standard[name], v) for name, v in geometry.items()}
     if bad.any():
         notes.append(f"These robots are disabled, because values in {TABLE} are missing: {', '.join(ids[bad])}.")
     names = ("BOSS", "APOGEE")
@@ -328,19 +328,19 @@ def _maps(folder, site, nominal, notes):
     rows.keep(rows.text("direction") == "focal")
     kinds, maps = np.char.upper(rows.text("waveCat")), {}
     for name, old in nominal.items():
-        found = np.flatnonzero(kinds == name)
-        if len(found) != 1:
+        matching = np.flatnonzero(kinds == name)
+        if len(matching) != 1:
             raise InputError(
                 f"{rows.path}: there must be one row with direction = focal, site = {site} and "
-                f"waveCat = {name.title()}, got {len(found)}"
+                f"waveCat = {name.title()}, got {len(matching)}"
             )
-        radius, *terms = (float(rows.numbers(c, finite=True)[found[0]]) for c in ("R", *COEFFICIENTS))
+        radius, *terms = (float(rows.numbers(c, finite=True)[matching[0]]) for c in ("R", *COEFFICIENTS))
         maps[name] = replace(old, coefficients=tuple(terms), radius=radius * u.mm)
         edge = float(maps[name].to_radius(old.max_angle) / old.to_radius(old.max_angle))
         if not abs(edge - 1) < MAPS_DIFFER:
             raise InputError(
                 f"{rows.path}: R and c0 to c4 must give the nominal radius of the field within {MAPS_DIFFER:.0%}, got "
-                f"{edge:.3g} times this radius in row {rows.table[ROW][found[0]]}"
+                f"{edge:.3g} times this radius in row {rows.table[ROW][matching[0]]}"
             )
     return maps
 
@@ -372,7 +372,7 @@ def _entries(plane, nominal, maps, folder) -> dict:
     arm = float(np.median(plane.arrays.central_arm))
     places = {name: np.nanmedian(xy.to_value(u.mm), axis=0).tolist() for name, xy in plane.fiber_xy.items()}
     jaeger = "https://github.com/sdss/jaeger src/jaeger/etc/jaeger_APO.yml"
-    found = {
+    entries = {
         "positioner.central_arm": entry(arm, f"{where}, median of alphaArmLen", "derived", "mm"),
         "positioner.fiber_xy": entry(places, f"{where}, medians of the positions of the fibers", "derived", "mm"),
         "positioner.theta_range": entry([0.0, 360.0], jaeger, unit="deg"),
@@ -386,5 +386,5 @@ def _entries(plane, nominal, maps, folder) -> dict:
             name: {"form": m.form, "radius": m.radius.to_value(u.mm), "coefficients": list(m.coefficients)}
             for name, m in maps.items()
         }
-        found["optics.radial_map"] = entry(value, f"{folder.name}/focalPlaneModel.csv")
-    return found
+        entries["optics.radial_map"] = entry(value, f"{folder.name}/focalPlaneModel.csv")
+    return entries

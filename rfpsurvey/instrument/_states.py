@@ -52,8 +52,7 @@ class Row:
     state: str
     first: datetime
     end: datetime
-    pose: tuple[float, float] | None
-    """theta and phi in degrees."""
+    pose: tuple[float, float] | None  # theta and phi in degrees
 
 
 class States:
@@ -148,7 +147,7 @@ def _prefixes(values: dict) -> list[str]:
 def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict | None = None) -> "Instrument":
     """Return the instrument with the states of the rows that apply at a time."""
     plane = instrument.focal_plane
-    index = {str(own): k for k, own in enumerate(plane.id.tolist())}
+    index = {str(name): k for k, name in enumerate(plane.id.tolist())}
     _check_ids(rows, index, what, instrument.name)
     _check_overlaps(rows, what)
     moments = moments_at(time)
@@ -159,7 +158,7 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
         disabled[k] = row.state == "broken"
         stuck[k] = np.nan if row.pose is None else np.deg2rad(row.pose)
     counts = Counter({row.id: row.state for row in used}.values())
-    found = {
+    summary = {
         "file": name,
         "time": _time_text(moments) if moments and any((row.first, row.end) != ALWAYS for row in rows) else None,
         **{state: counts[state] for state in STATES},
@@ -169,7 +168,7 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
     earlier = len(_prefixes(instrument.values))
     prefix = f"{SUMMARY}_{earlier + 1}" if earlier else SUMMARY
     origin = origin or {"status": "assumed", "source": f"with_states, {name}"}
-    values = {f"{prefix}.{part}": {"value": value, **origin} for part, value in found.items() if value is not None}
+    values = {f"{prefix}.{part}": {"value": value, **origin} for part, value in summary.items() if value is not None}
     changed = replace(
         instrument,
         focal_plane=replace(plane, disabled=disabled, stuck=stuck * u.rad),
@@ -206,7 +205,7 @@ def moments_at(time: object) -> list[datetime]:
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        return sorted({moment_of(one, "time") for one in to_time(time, "time").ravel()})
+        return sorted({moment_of(moment, "time") for moment in to_time(time, "time").ravel()})
 
 
 def _time_text(moments: list[datetime]) -> str:
@@ -228,13 +227,13 @@ def _check_overlaps(rows: list[Row], what: str) -> None:
     """Raise an error if rows for the same positioner overlap in time but state different states or poses."""
     last = {}
     for row in sorted((row for row in rows if row.state != UNCHANGED), key=lambda row: (row.first, row.end)):
-        other = last.get(row.id)
-        if other is not None and row.first < other.end and (row.state, row.pose) != (other.state, other.pose):
+        before = last.get(row.id)
+        if before is not None and row.first < before.end and (row.state, row.pose) != (before.state, before.pose):
             raise InputError(
                 f"{what}: rows of a positioner that overlap in time must have the same state and pose, got "
-                f"{other.state} and {row.state} for {row.id}; change the dates in the columns from and to"
+                f"{before.state} and {row.state} for {row.id}; change the dates in the columns from and to"
             )
-        if other is None or row.end > other.end:
+        if before is None or row.end > before.end:
             last[row.id] = row
 
 
@@ -255,21 +254,21 @@ def _rows(table: Table, plane: FocalPlane, what: str) -> list[Row]:
     states = ["broken"] * n
     if "state" in names:
         states = to_plain(table["state"], f"{what}: column 'state'").astype(str).tolist()
-        states = [check_choice(one.strip().lower() or "broken", WORDS, f"state in {what}") for one in states]
+        states = [check_choice(word.strip().lower() or "broken", WORDS, f"state in {what}") for word in states]
     dates = [_dates(table, name, limit, what) for name, limit in zip(("from", "to"), ALWAYS, strict=True)]
     poses = np.column_stack([_angles(table, name, what) for name in ("theta", "phi")]).tolist()
     rows = []
-    for own, word, first, end, pose in zip(ids, states, *dates, poses, strict=True):
+    for key, word, first, end, pose in zip(ids, states, *dates, poses, strict=True):
         state = WORDS[word]
         given = [value for value in pose if value == value]
         if first >= end:
-            raise InputError(f"{what}: to must be later than from, got {first:{FORM}} and {end:{FORM}} for {own}")
+            raise InputError(f"{what}: to must be later than from, got {first:{FORM}} and {end:{FORM}} for {key}")
         if len(given) == 1 or (state == "stuck" and not given) or (state == "restored" and given):
             rule = {"stuck": "both values", "broken": "both values or none", "restored": "no values"}[state]
             raise InputError(
-                f"{what}: theta and phi must have {rule} for a positioner that is {word}, got {listed(given)} for {own}"
+                f"{what}: theta and phi must have {rule} for a positioner that is {word}, got {listed(given)} for {key}"
             )
-        rows.append(Row(own, state, first, end, tuple(given) or None))
+        rows.append(Row(key, state, first, end, tuple(given) or None))
     return rows
 
 
@@ -283,7 +282,7 @@ def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
             "(Instrument.from_desi, or --instrument with the path of a file such as fp-metrology.csv)"
         )
     ids, broken, stuck = (whole(table, name, what) for name in DESI)
-    table[ROW], row_of = np.arange(1, len(table) + 1), {str(own): k for k, own in enumerate(plane.id.tolist())}
+    table[ROW], row_of = np.arange(1, len(table) + 1), {str(name): k for k, name in enumerate(plane.id.tolist())}
     known = np.isin(ids.astype(str), list(row_of))
     # rows of unknown positioners are refused later
     poses = np.where((stuck != 0) & ~known, 0.0, np.nan)[:, None].repeat(2, axis=1)
@@ -299,11 +298,11 @@ def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
                 f"{-place[0]:g} and {place[1]:g} mm for {ids[k]}"
             )
     states = np.where(broken != 0, "broken", np.where(stuck != 0, "stuck", UNCHANGED))
-    found = Table({"id": ids, "state": states, "theta": poses[:, 0], "phi": poses[:, 1]})
-    for name, own in (("from", "START_DATE"), ("to", "END_DATE")):
-        if own in table.colnames:
-            found[name] = table[own]
-    return found
+    states_table = Table({"id": ids, "state": states, "theta": poses[:, 0], "phi": poses[:, 1]})
+    for name, column in (("from", "START_DATE"), ("to", "END_DATE")):
+        if column in table.colnames:
+            states_table[name] = table[column]
+    return states_table
 
 
 def _dates(table: Table, name: str, limit: datetime, what: str) -> list[datetime]:
@@ -312,7 +311,7 @@ def _dates(table: Table, name: str, limit: datetime, what: str) -> list[datetime
         return [limit] * len(table)
     column, what = table[name], f"{what}: column {name!r}"
     if isinstance(column, Time):
-        values = [None if missing else one for one, missing in zip(column, column.mask, strict=True)]
+        values = [None if missing else value for value, missing in zip(column, column.mask, strict=True)]
     elif column.dtype.kind == "M":
         values = np.asarray(column).astype("datetime64[us]").tolist()
     else:
@@ -346,12 +345,12 @@ def _angles(table: Table, name: str, what: str) -> np.ndarray:
     values = to_plain(column, what)
     try:
         values = np.where(values == "", "nan", values) if values.dtype.kind == "U" else values
-        found = (values.astype(float) * unit).to_value(u.deg)
+        degrees = (values.astype(float) * unit).to_value(u.deg)
     except ValueError:
         raise InputError(f"{what} must hold angles in degrees, got {short(values.tolist())}") from None
-    for wrong in found[np.abs(found) > MOST_ANGLE]:
+    for wrong in degrees[np.abs(degrees) > MOST_ANGLE]:
         raise InputError(f"{what} must hold angles from {-MOST_ANGLE:g} to {MOST_ANGLE:g} deg, got {wrong:g}")
-    return found
+    return degrees
 
 
 def _cells(values: list) -> object:

@@ -138,8 +138,8 @@ class ObservingConditions(Settings):
 
     def _check(self):
         if (self.time is None) == (self.hour_angle is None):
-            both = "none of them" if self.time is None else "both"
-            raise InputError(f"conditions must have either a time or an hour_angle, got {both}")
+            given = "none of them" if self.time is None else "both"
+            raise InputError(f"conditions must have either a time or an hour_angle, got {given}")
         waves = self.wavelength
         if isinstance(waves, dict) and not (waves and all(isinstance(name, str) for name in waves)):
             raise InputError(f"wavelength must have one value, or one for each fiber type, got {short(waves)}")
@@ -241,12 +241,12 @@ class ObservingConditions(Settings):
         Differential aberration changes the scale of a field by up to 0.0001.
         """
         waves = self.wavelength.values() if isinstance(self.wavelength, dict) else [self.wavelength]
-        one = all(wave == self.guide_wavelength for wave in waves)
+        same_wavelength = all(wave == self.guide_wavelength for wave in waves)
         dispersion = (
             f"dispersion (all fibers and the guide camera are assumed to observe at {self.guide_wavelength.to(u.um):g})"
         )
         aberration = "differential aberration (the conditions have an hour angle instead of a time)"
-        return (dispersion,) * one + (aberration,) * (self.time is None)
+        return (dispersion,) * same_wavelength + (aberration,) * (self.time is None)
 
     @property
     def record(self) -> dict:
@@ -257,8 +257,8 @@ class ObservingConditions(Settings):
             "height_m": self.site.height.to_value(u.m),
             **super().record,
         }
-        found = {name: numbers[name] for name in RECORDED if name in numbers}
-        return {name: value if name in EXACT else round(float(value), 9) for name, value in found.items()}
+        entries = {name: numbers[name] for name in RECORDED if name in numbers}
+        return {name: value if name in EXACT else round(float(value), 9) for name, value in entries.items()}
 
     def _values(self):
         record = self.record  # the location of a site is equal to that of its record only if it is rounded
@@ -307,7 +307,7 @@ def check_conditions(conditions: object, *, optional: bool = False) -> None:
 
 def _from_text(name: str, value: object, path: object) -> object:
     """Return the value of a parameter from a TOML file."""
-    check_choice(name, [one.name for one in fields(ObservingConditions)], f"key of {path}")
+    check_choice(name, [field.name for field in fields(ObservingConditions)], f"key of {path}")
     if name == "site" and isinstance(value, list):
         return location(value, f"{path}: site")
     if name in ("site", "time") or (name == "humidity" and not isinstance(value, str)):

@@ -103,8 +103,8 @@ class ObservedField:
     def drift(self, vectors: np.ndarray, fiber_type: str | np.ndarray | None = None) -> np.ndarray:
         """Return the largest distance (mm) between each target and its mean position during the exposure."""
         mean, largest = self.project(vectors, fiber_type), np.zeros(len(vectors))
-        for one in np.eye(len(self.frames)) if len(self.frames) > 1 else ():
-            image = self._optics.project(self._observe(vectors, fiber_type, one), fiber_type)
+        for frame_weights in np.eye(len(self.frames)) if len(self.frames) > 1 else ():
+            image = self._optics.project(self._observe(vectors, fiber_type, frame_weights), fiber_type)
             largest = np.fmax(largest, np.hypot(*(image - mean).T))
         return largest
 
@@ -129,10 +129,10 @@ class ObservedField:
 
     def beyond(self, factor: float) -> "ObservedField":
         """Return the projection with radial maps that are continued to a largest field angle times a factor."""
-        found = copy(self)
-        found._optics = self._optics.beyond(factor)
-        found.distortion = found._optics.distortion
-        return found
+        field = copy(self)
+        field._optics = self._optics.beyond(factor)
+        field.distortion = field._optics.distortion
+        return field
 
     def wavelength_groups(self, fiber_type: str | np.ndarray | None, n: int) -> list[tuple[object, float]]:
         """Return which targets are observed at which wavelength, as pairs (rows, wavelength in micrometers)."""
@@ -167,11 +167,11 @@ class ObservedField:
         points = np.vstack([center, np.cos(radius) * center + np.sin(radius) * ring])
         waves = self.conditions.wavelengths_um
         waves = list(waves.values()) if isinstance(waves, dict) else [waves]
-        found = []
+        errors = []
         for wave in {min(waves), max(waves), self._guide_um}:
             seen = self._instants.observe(points, wave) @ self.frames.transpose(0, 2, 1)
-            found.append(np.tensordot(weights - self.weights, seen, 1))
-        return np.nanmax(np.abs(found))
+            errors.append(np.tensordot(weights - self.weights, seen, 1))
+        return np.nanmax(np.abs(errors))
 
     @property
     def _guide_um(self) -> float:
@@ -285,10 +285,10 @@ def displacements(
     """
     fields = {name: field_of_model(name, *field) for name in MODELS}
     full = fields.pop("full")
-    targets = [(full.unproject(own, kind), own, kind) for own, kind in zip(points, fiber_types, strict=True)]
+    targets = [(full.unproject(xy, kind), xy, kind) for xy, kind in zip(points, fiber_types, strict=True)]
     moved = {
-        name: np.array([np.hypot(*(one.project(vectors, kind) - own).T) for vectors, own, kind in targets])
-        for name, one in fields.items()
+        name: np.array([np.hypot(*(field.project(vectors, kind) - xy).T) for vectors, xy, kind in targets])
+        for name, field in fields.items()
     }
     moved["full"] = np.zeros(points.shape[:2])
     return moved, np.array([full.drift(vectors, kind) for vectors, _, kind in targets])

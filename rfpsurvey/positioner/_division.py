@@ -43,6 +43,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
         raise InputError(f"vertices must be 3 to {MOST} finite points, got {short(vertices)}")
     xy = points.tolist()
     ring = [k for k in range(len(xy)) if xy[k] != xy[k - 1]]
+    # twice the signed area, which is negative if the vertices are clockwise
     if sum(xy[a][0] * xy[b][1] - xy[a][1] * xy[b][0] for a, b in zip(ring, ring[1:] + ring[:1], strict=True)) < 0:
         ring.reverse()
     parts = None if _crosses(xy, ring) else _triangles(xy, ring)
@@ -69,7 +70,7 @@ def _crosses(xy, ring) -> bool:
 
 def _triangles(xy, ring) -> list[list[int]]:
     """Return triangles that fill a polygon (ear clipping), or an empty list if the polygon cannot be divided."""
-    ring, found = list(ring), []
+    ring, triangles = list(ring), []
     while len(ring) > 2:
         for k, corner in enumerate(ring):
             before, after = ring[k - 1], ring[(k + 1) % len(ring)]
@@ -78,17 +79,17 @@ def _triangles(xy, ring) -> list[list[int]]:
                 break
         else:
             return []
-        if bend > 0:
-            found.append([before, corner, after])
+        if bend > 0:  # a corner without a bend is removed without a triangle
+            triangles.append([before, corner, after])
         del ring[k]
-    return found
+    return triangles
 
 
 def _contains_any(xy, a, b, c, ring) -> bool:
     """Return whether a counter-clockwise triangle contains another vertex of the polygon."""
-    own = [xy[a], xy[b], xy[c]]
+    corners = [xy[a], xy[b], xy[c]]
     return any(
-        xy[p] not in own and _bend(xy, a, b, p) >= 0 and _bend(xy, b, c, p) >= 0 and _bend(xy, c, a, p) >= 0
+        xy[p] not in corners and _bend(xy, a, b, p) >= 0 and _bend(xy, b, c, p) >= 0 and _bend(xy, c, a, p) >= 0
         for p in ring
     )
 
@@ -109,11 +110,12 @@ def _merged(xy, parts) -> list[list[int]]:
 
 def _union(xy, first, second) -> list[int]:
     """Return the union of two parts, or an empty list if they share no edge or if their union is not convex."""
+    # neighbors have a common edge in opposite directions, because both are counter-clockwise
     edges = {(b, a): k for k, (a, b) in enumerate(zip(second, second[1:] + second[:1], strict=True))}
     for k, edge in enumerate(zip(first, first[1:] + first[:1], strict=True)):
         if edge in edges:
-            others = [second[(edges[edge] + i) % len(second)] for i in range(2, len(second))]
-            union = first[: k + 1] + others + first[k + 1 :]
+            inserted = [second[(edges[edge] + i) % len(second)] for i in range(2, len(second))]
+            union = first[: k + 1] + inserted + first[k + 1 :]
             n = len(union)
             bends = [_bend(xy, union[i - 1], union[i], union[(i + 1) % n]) for i in range(n)]
             return union if min(bends) >= 0 else []

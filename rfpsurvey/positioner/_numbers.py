@@ -65,7 +65,7 @@ class PositionerNumbers:
     def limits(self) -> np.ndarray:
         """Lower and upper joint limits of theta and of phi in radians, shape (2, 2); infinite without a limit."""
         ranges = self.positioner.theta_range, self.positioner.phi_range
-        return np.array([(-np.inf, np.inf) if one is None else to_radian(one, "joint limits") for one in ranges])
+        return np.array([(-np.inf, np.inf) if pair is None else to_radian(pair, "joint limits") for pair in ranges])
 
     @cached_property
     def home(self) -> np.ndarray:
@@ -107,15 +107,15 @@ class PositionerNumbers:
             given = self.positioner.arm_angle
             if not isinstance(given, dict):
                 given = dict.fromkeys(fiber_types, 0 * u.deg if given is None else given)
-            own, unknown = [name for name in fiber_types if name], [name for name in given if name not in fiber_types]
-            if unknown and not own:
+            known, unknown = [name for name in fiber_types if name], [name for name in given if name not in fiber_types]
+            if unknown and not known:
                 raise InputError(
                     f"arm_angle must be one angle, because the positioners of the focal plane have no fiber types, got "
                     f"angles for {listed(given)}; give the column fiber_type of the focal plane, or one angle"
                 )
             if unknown:
                 raise InputError(
-                    f"arm_angle must have the fiber types of the focal plane, {listed(own)}, got {listed(unknown)}; "
+                    f"arm_angle must have the fiber types of the focal plane, {listed(known)}, got {listed(unknown)}; "
                     "correct the names in arm_angle or in the column fiber_type"
                 )
             angles = [float(to_radian(given.get(name, 0 * u.deg), "arm_angle")) for name in fiber_types]

@@ -180,6 +180,7 @@ def make_outline(outline: ArmOutline | None, centers: np.ndarray, central_arm: n
     circles = np.column_stack([*(_circle(vertices, radius) for vertices, radius in parts), np.zeros(4)])
     table = np.hstack([vertices, np.vstack([circles, start])])
     length, n = float(outline.length.value), outline.n_eccentric
+    # the distance of two cores exceeds the gap of their outlines at most by these largest distances from the cores
     eccentric = max(_from_core(vertices, 0.0, length) + radius for vertices, radius in parts[:n])
     central = [
         float(np.hypot(vertices[:, 0] - arm, vertices[:, 1]).max()) + radius
@@ -238,6 +239,7 @@ def _to_part(part, name):
     if len(points) == 0 or not (np.abs(points) < MOST).all():
         raise InputError(f"{name} must be finite vertices with coordinates below {MOST:g} mm, got {short(part)}")
     hull = _hull(points)
+    # a polygon that bends inward or crosses itself is longer than its hull, or has vertices inside of it
     if not (_closed_length(points) <= _closed_length(hull) * (1 + PERIMETER) + SAME and _on_outline(points, hull)):
         raise InputError(
             f"{name} must be a convex polygon, got {short(part)}; divide_polygon divides other polygons into "
@@ -260,6 +262,7 @@ def _hull(points):
 def convex_hull(points: list[tuple]) -> list[tuple]:
     """Return the vertices of the convex hull in counter-clockwise order, without vertices on straight edges."""
     hull, ordered = [], sorted(set(points))
+    # Andrew's monotone chain: the lower hull from left to right, and the upper hull from right to left
     for run in (ordered, ordered[::-1]):
         chain = []
         for point in run:

@@ -120,9 +120,9 @@ class Positioner(Checked, ByValue):
             raise InputError(f"home must lie within the joint limits, got {self.home}")
 
     def __repr__(self):
-        own = self.numbers
-        parts = [f"arms {own.central_arm:.6g} + {own.eccentric_arm:.6g} mm", f"clearance {own.clearance:.6g} mm"]
-        parts += [f"minimum separation {own.separation:.6g} mm"]
+        numbers = self.numbers
+        parts = [f"arms {numbers.central_arm:.6g} + {numbers.eccentric_arm:.6g} mm"]
+        parts += [f"clearance {numbers.clearance:.6g} mm", f"minimum separation {numbers.separation:.6g} mm"]
         parts += [self.handedness] if self.handedness != "right" else []
         parts += [self.arm_model] if self.arm_model != "elbow_to_tip" else []
         return f"<Positioner: {', '.join(parts)}>"

@@ -137,7 +137,7 @@ class DistortionMap(ByValue):
         check_whole(harmonics, "harmonics", 0, 20)
         unit = MARGIN * np.hypot(x, y).max()
         strength = np.deg2rad(adc1 - adc2) / 2
-        found, errors = [], []
+        solutions, errors = [], []
         for terms, values in zip(_terms(degree, harmonics), (x_fp, y_fp), strict=True):
             columns = [(x / unit) ** i * (y / unit) ** j * _wave(kind, k, strength) for i, j, kind, k in terms]
             solution, _, rank, _ = np.linalg.lstsq(np.transpose(columns), values, rcond=None)
@@ -145,7 +145,7 @@ class DistortionMap(ByValue):
                 raise InputError(
                     f"{path}: the table must have enough rows to determine {len(terms)} coefficients, got {len(x)} rows"
                 )
-            found.append(solution)
+            solutions.append(solution)
             errors.append(solution @ columns - values)
         distance = np.hypot(*errors)
         rows = [
@@ -158,7 +158,7 @@ class DistortionMap(ByValue):
             units={"adc1": u.deg, "adc2": u.deg, "median": u.mm, "rms": u.mm, "max": u.mm},
         )
         limit = np.arctan(unit) * u.rad
-        return cls(tuple(np.concatenate(found)), degree, harmonics, limit.to(u.deg), residuals=residuals)
+        return cls(tuple(np.concatenate(solutions)), degree, harmonics, limit.to(u.deg), residuals=residuals)
 
     def at(self, adc: u.Quantity) -> "DistortionMap":
         """Return the map at another setting of the compensator.

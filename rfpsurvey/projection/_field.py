@@ -106,7 +106,7 @@ def groups_of_types(fiber_type: str | np.ndarray | None, first: str, n: int) -> 
 def continued(distortion: object, factor: float) -> object:
     """Return maps of a field, in which radial maps are continued, if they then still increase from the center."""
     if isinstance(distortion, dict):
-        return {name: continued(one, factor) for name, one in distortion.items()}
+        return {name: continued(optics, factor) for name, optics in distortion.items()}
     if not isinstance(distortion, RadialMap):
         return distortion
     try:

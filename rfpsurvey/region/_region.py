@@ -292,5 +292,5 @@ def _two(values, name, low, high):
         first, last = values
     except INCONVERTIBLE:
         raise refusal(f"{name} must be two angles", values, list, tuple) from None
-    both = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
-    return [min(max(value, low), high) for value in both]
+    angles = [float(to_scalar(value, u.deg, name, low=low - 1e-9, high=high + 1e-9)) for value in (first, last)]
+    return [min(max(value, low), high) for value in angles]

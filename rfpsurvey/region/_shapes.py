@@ -81,17 +81,17 @@ def edges_cross(vertices):
     normal, n = np.cross(a, b), len(vertices)
     for i in range(n):
         j = np.arange(i + 2, n if i else n - 1)
-        other = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
-        own = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
+        splits_j = (normal[i] @ a[j].T) * (normal[i] @ b[j].T) < 0
+        splits_i = (normal[j] @ a[i]) * (normal[j] @ b[i]) < 0
         # Two great circles intersect at two opposite points; the edges cross only if both contain the same one of these
         # points.
         meet = np.cross(normal[i], normal[j])
         side = np.sign(np.sum(meet * (a[i] + b[i]), axis=1)) == np.sign(np.sum(meet * (a[j] + b[j]), axis=1))
-        hit = j[other & own & side]
+        hit = j[splits_j & splits_i & side]
         if len(hit):
             return i, int(hit[0])
-        rest = np.delete(np.arange(n), [i, (i + 1) % n])
-        touch = rest[_to_arc(a[rest], a[i], b[i]) < 1e-12]
+        corners = np.delete(np.arange(n), [i, (i + 1) % n])
+        touch = corners[_to_arc(a[corners], a[i], b[i]) < 1e-12]
         if len(touch):
             return i, int(touch[0])
     return None
@@ -128,7 +128,7 @@ def polygon_contains(vertices, vectors):
     normal = np.cross(a[start], b[start])
     normal /= np.linalg.norm(normal)
     inside_left = _left_area(vertices) <= 2 * np.pi
-    others = np.delete(np.arange(len(a)), start)
+    edges = np.delete(np.arange(len(a)), start)
     out = np.empty(len(vectors), dtype=bool)
     step = max(CHUNK // len(a), 1)
     for k in range(0, len(vectors), step):
@@ -139,11 +139,11 @@ def polygon_contains(vertices, vectors):
         p = np.where(np.abs(height)[:, None] < 1e-11, p + 1e-11 * normal, p)
         left = p @ normal > 0
         plane = np.cross(middle, p)
-        high_a, high_b = plane @ a[others].T, plane @ b[others].T
+        high_a, high_b = plane @ a[edges].T, plane @ b[edges].T
         straddle = (high_a >= 0) != (high_b >= 0)
         row, edge = np.nonzero(straddle)
         cross = (
-            np.abs(high_b[row, edge])[:, None] * a[others[edge]] + np.abs(high_a[row, edge])[:, None] * b[others[edge]]
+            np.abs(high_b[row, edge])[:, None] * a[edges[edge]] + np.abs(high_a[row, edge])[:, None] * b[edges[edge]]
         )
         after = np.sum(np.cross(middle, cross) * plane[row], axis=1) > 0
         ahead = np.sum(np.cross(cross, p[row]) * plane[row], axis=1) > 0

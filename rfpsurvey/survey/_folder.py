@@ -225,8 +225,8 @@ class Folder(RequestFolder):
     def finish(self) -> None:
         """Write the final index; a plan that was written beside the present plan then replaces it."""
         self._known |= self._kept
-        super().finish()
         if not self.is_beside:
+            super().finish()
             return
         with locked(self.home, self.home / LOCK, wait=WAIT):
             events, today = self._state.present_events(), str(clock().date())

@@ -163,9 +163,8 @@ def replace_plan(folder: Path) -> None:
                 os.replace(folder / name, folder / KEPT / f"{checksum}.fits")
             elif name not in new:
                 (folder / name).unlink()
-        paths = [
-            path for path in ready.rglob("*") if path.is_file() and path.name != LOCK
-        ]  # the request is replaced last
+        paths = [path for path in ready.rglob("*") if path.is_file() and path.name != LOCK]
+        # the request is replaced last, so that all steps can be repeated until then
         for path in sorted(paths, key=lambda path: (path.name == "survey.json", path.name == INDEX, path)):
             (folder / path.relative_to(ready)).parent.mkdir(parents=True, exist_ok=True)
             os.replace(path, folder / path.relative_to(ready))

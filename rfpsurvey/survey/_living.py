@@ -26,8 +26,8 @@ class Living:
 
         Each call appends one file to the folder, with the rows of the table, its name, the time and the user. A later
         record of the same tile and date corrects the state of the tile and adds failed visits; records that equal an
-        earlier record are not repeated. `undo` undoes a record. If `plan_survey` is called
-        with the new `state`, observed tiles keep their plans, and all other tiles are planned again.
+        earlier record are not repeated. `undo` undoes a record. If `plan_survey` is called with the new `state`,
+        observed tiles keep their plans, and all other tiles are planned again.
 
         Parameters
         ----------
@@ -35,16 +35,17 @@ class Living:
             Observations, with the column ``tile`` and optionally ``state`` (``done``, ``partly``, ``bad``, ``dropped``,
             ``added``, or ``planned``, which cancels earlier records of the tile), ``good``, ``date``, ``fraction``,
             ``positioner`` or ``target``, ``spectrograph`` (also ``petal``, ``module`` or ``block``: all visits of this
-            group of positioners of the instrument), ``reason``, ``replaces``, and ``plan`` (the digest ``PLANID`` of
-            the plan of the tile).
-            Without a state, a tile is bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is
-            less than ``enough``, and done otherwise. A row with a positioner or a target means that this visit failed,
-            unless ``good`` is true; visits without a row were successful. Added tiles have the columns ``ra``, ``dec``,
-            and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes targets: it has
-            the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``, ``dropped`` or
-            ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The usual names of
-            columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a
-            confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
+            group of positioners of the instrument), ``reason``, ``replaces``, and ``generation`` (the number of the
+            plan of the survey) or ``plan`` (the digest ``PLANID`` of the plan of the tile). Without a state, a tile is
+            bad if ``good`` is false or ``fraction`` is 0, partly observed if ``fraction`` is less than ``enough``, and
+            done otherwise. A row with a positioner or a target means that this visit failed, unless ``good`` is true;
+            visits without a row were successful, unless they were lost to a collision. Added tiles have the columns
+            ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes
+            targets: it has the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``,
+            ``dropped`` or ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The
+            usual names of columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``).
+            The path of a confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits
+            failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional

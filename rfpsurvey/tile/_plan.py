@@ -170,7 +170,7 @@ def plan_tile(
     selected = SelectedRows(wider if used is None else near[wider], vectors, radius, len(rows))
     source = CatalogTargets(everything, selected)
     builder = FieldBuilder(source, options, instrument)
-    slot, _, targets = builder.field(to_vectors(center, "center", one=True)[0], radius)
+    slot, _, targets = builder.field(to_vectors(center, "center", scalar=True)[0], radius)
     if len(slot) == 0:
         _refuse_empty(builder, len(rows))
     n_twice = len(slot) - len(np.unique(targets.id)) if catalog.arrays.repeated_ids else 0

@@ -234,7 +234,7 @@ def north_of_date(center: SkyCoord, equinox: str | None) -> SkyCoord:
 
     If ``equinox`` is None, the center is returned unchanged.
     """
-    return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox", one=True)))
+    return center if equinox is None else center.transform_to(FK5(equinox=to_time(equinox, "equinox", scalar=True)))
 
 
 def warn_of_north(survey: str, *, is_given: bool) -> None:

@@ -284,7 +284,7 @@ class Tile:
         }
         cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
-        _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", others=others)
+        _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", extensions=others)
 
     def plot(self, **options: object) -> object:
         """Plot the focal plane, as `rfpsurvey.plot.plot_focal_plane` does.

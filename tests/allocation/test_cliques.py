@@ -33,7 +33,7 @@ def test_cliques_are_maximal_and_contain_every_conflict(monkeypatch, room):
     n_large = 0
     for seed in range(200):
         options, rows, edges = random_options(np.random.default_rng(seed))
-        own, target, n = options.own, options.target, len(options.own)
+        own, target, n = options.owner, options.target, len(options.owner)
         conflict = (target[:, None] == target) & (target >= 0)
         inside = np.isin(np.arange(n), rows)
         conflict[tuple(edges)] = conflict[tuple(edges[::-1])] = True

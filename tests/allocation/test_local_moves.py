@@ -39,7 +39,7 @@ def random_candidates(rng):
 
 def drop_slowly(options, order, plan):
     """Return the plan and the number of removed targets; all collisions are counted again before each decision."""
-    excluded = [{*options.other[a:b].tolist()} for a, b in zip(options.indptr, options.indptr[1:], strict=False)]
+    excluded = [{*options.excluded[a:b].tolist()} for a, b in zip(options.indptr, options.indptr[1:], strict=False)]
     plan, stays, dropped = plan.tolist(), set(), 0
     while True:
         count = {i: len(excluded[plan[i]] & {*plan}) for i in order.tolist() if i not in stays}
@@ -63,7 +63,7 @@ def test_targets_are_removed_in_the_order_of_collisions(seeds):
         rng = np.random.default_rng(seed)
         options, plan, n_targets = random_candidates(rng)
         order, fixed = rng.permutation(len(plan)), np.zeros(len(plan), dtype=bool)
-        now, blocked = np.full(len(plan), -1), np.zeros(len(options.own), dtype=np.int64)
+        now, blocked = np.full(len(plan), -1), np.zeros(len(options.owner), dtype=np.int64)
         holder = np.full(n_targets, -1)
         repair.put_all(plan, options, now, blocked, holder)
         repair.drop(options, order, fixed, now, blocked, holder)

@@ -214,7 +214,7 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
         # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
-            everything = np.ones(len(options.own), bool)
+            everything = np.ones(len(options.owner), bool)
             before = list(plans(case, pairs, everything))
             if not before:
                 continue
@@ -226,11 +226,11 @@ def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclud
             for worth in weigh:
                 assert max(map(worth, after)) == max(map(worth, before)), seed
             n_left = np.add.reduceat(alive, options.start[:-1])
-            decided = set(np.flatnonzero(alive & (n_left == 1)[options.own]).tolist())
+            decided = set(np.flatnonzero(alive & (n_left == 1)[options.owner]).tolist())
             for a, b in pairs.T.tolist():
                 assert not (alive[a] and alive[b] and (a in decided or b in decided)), seed
             for a in decided:
-                rivals = (options.target == options.target[a]) & (options.own != options.own[a]) & alive
+                rivals = (options.target == options.target[a]) & (options.owner != options.owner[a]) & alive
                 assert options.target[a] < 0 or not rivals.any(), seed
 
 

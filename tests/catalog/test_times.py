@@ -37,7 +37,7 @@ FIELD = {"site": "xinglong", "hour_angle": 0 * u.deg}
 
 @pytest.mark.parametrize(("expected", "value"), [(k, v) for k, values in DATES.items() for v in values])
 def test_dates_are_epochs_and_times_of_observations(expected, value):
-    for found in (to_time(value, "epoch", one=True), to_moment(value, "time")):
+    for found in (to_time(value, "epoch", scalar=True), to_moment(value, "time")):
         assert abs((found - Time(expected)).to_value(u.s)) < 1e-6
     assert rs.ObservingConditions("xinglong", time=value).record["time"] == Time(expected).isot
 
@@ -55,7 +55,7 @@ def test_julian_years_are_epochs_but_not_times_of_observations(value):
 def test_other_values_are_refused_in_one_line(value):
     for convert, words in ((to_time, "epoch must be"), (to_moment, f"time {FORM}, got")):
         with pytest.raises(rs.InputError) as caught:
-            convert(value, words.split()[0], **({"one": True} if convert is to_time else {}))
+            convert(value, words.split()[0], **({"scalar": True} if convert is to_time else {}))
         assert str(caught.value).startswith(words)
         assert "\n" not in str(caught.value)
 

@@ -464,6 +464,7 @@ def test_a_wrong_night_is_found_and_undone(run, call, plan, tmp_path):
     assert "either a table or --undo must be given, got neither" in sentence(*run("record", folder)[::2])
     both = run("record", folder, tmp_path / "a.csv", "--undo", "1")
     assert "either a table or --undo must be given, got both" in sentence(*both[::2])
+    assert "without options of tables" in sentence(*run("record", folder, "--undo", "1", "--replaces")[::2])
     assert "without other options" in sentence(*run("status", folder, "--events", "--verify")[::2])
 
 

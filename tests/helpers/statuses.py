@@ -26,6 +26,8 @@ def status_table():
             "n_tiles": [1, 3, 4, 6],
             "n_observed": {"all": [90, 250, 340, 500], "2": [60, 150, 200, 300], "1": [30, 100, 140, 200]},
         },
+        "failures": [{"positioner": "17", "n_failed": 3, "reasons": "broken fiber"}],
+        "generation": 1,
         "is_planned": True,
         "events": {"n_files": 4},
     }

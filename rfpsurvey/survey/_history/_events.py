@@ -63,7 +63,7 @@ class TileEvent(NamedTuple):
     replaces: bool = False
     """Whether the failed visits of earlier records of the same observation are discarded."""
     made_with: int = -1
-    """Number of files of events with which the plan was made that was observed; -1 for the present plan."""
+    """Number of files of events with which the observed plan was made; -1 if an earlier version did not record it."""
 
     @property
     def observation(self) -> tuple:

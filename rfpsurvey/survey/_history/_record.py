@@ -81,7 +81,7 @@ def record(
     for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
         check_switch(value, name)
     folder, is_path = _folder_of(survey), isinstance(table, str | os.PathLike)
-    name = str(table) if is_path else ""
+    told = _told(str(table) if is_path else "", note)
     if is_path and native_format(_io.to_path(table)) is not None:
         table = _visits_of_configuration(table, survey, tile)
     else:
@@ -122,7 +122,7 @@ def record(
             check_not_future(dates)
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
-            append_events(history, tiles, changes, table, _told(name, note))
+            append_events(history, tiles, changes, table, told)
     return {"n_events": n_events, "n_known": n_known, "n_ignored": n_ignored, "changes": _changes(tiles, changes)}
 
 
@@ -164,17 +164,16 @@ def _check_undo(events: Events, file: EventFile, undone: int) -> None:
         is_done = any(attempt.state == TileState.DONE for attempt in others)
         same_date = [attempt for attempt in others if event.plan and attempt.date == event.date != ""]
         reasons = {
-            "changes visits of its observation": not event.has_state and event.observation not in known,
-            "is an observation at its new position": bool(event.plan and event.row in moved and number > undone),
-            "moves it, although it would be observed": bool(event.place and attempts),
-            "observes it, although it would be finished": event.state == TileState.DONE and is_done,
-            "drops it, although it would be finished": event.state == TileState.DROPPED and is_done,
-            "states another plan of its observation": bool(same_date),
+            "lists visits of an observation of tile {}": not event.has_state and event.observation not in known,
+            "observes tile {} at its new position": bool(event.plan and event.row in moved and number > undone),
+            "moves tile {}, which would be observed": bool(event.place and attempts),
+            "observes tile {}, which would be finished": event.state == TileState.DONE and is_done,
+            "drops tile {}, which would be finished": event.state == TileState.DROPPED and is_done,
+            "states another plan of an observation of tile {}": bool(same_date),
         }
         if reason := next((reason for reason, applies in reasons.items() if applies), None):
             raise InputError(
-                f"record {number} must be undone before record {undone}, because it concerns the same tile "
-                f"{event.tile}, and {reason}"
+                f"record {number} must be undone before record {undone}, because it {reason.format(event.tile)}"
             )
         states.add(event)
         known = {key for key in known if event.state != TileState.PLANNED or key[0] != event.row}

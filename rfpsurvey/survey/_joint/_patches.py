@@ -61,7 +61,7 @@ class Patches:
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
         self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
-        patch = label[network.own]
+        patch = label[network.owner]
         inside = np.flatnonzero(patch >= 0)
         part = csr_array((np.ones(len(inside)), (inside, patch[inside])), shape=(len(patch), max(self.n, 1)))
         self._used = network.matrix @ part  # number of candidates of each set in each patch

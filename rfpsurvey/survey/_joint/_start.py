@@ -137,7 +137,7 @@ def classes_of(request) -> tuple[np.ndarray, list[str]]:
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
     """Return the planned candidate of each positioner, or its idle arm if the planned target is not a candidate."""
     slot, side = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("slot", "side"))
-    own = network.own
+    own = network.owner
     same = np.append(network.slot, -1)[network.target] == slot[own]
     fits = same & (network.side == side[own]) & (network.target >= 0)
     chosen = network.start[1:] - 1
@@ -192,6 +192,6 @@ def goals_of(request, network: Network, subpriority: np.ndarray | None) -> list[
         low, high = value[real].min(initial=np.inf), value[real].max(initial=-np.inf)
         found.append(np.where(real, (value - low) / max(high - low, 1e-300), 0.0))
     if request.joint.early:
-        number = np.repeat(request.number, np.diff(network.first))[network.own]
+        number = np.repeat(request.number, np.diff(network.first))[network.owner]
         found.append(np.where(real, 1.0 - number / max(len(request.passes) - 1, 1), 0.0))
     return found

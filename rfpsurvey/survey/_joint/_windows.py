@@ -192,11 +192,11 @@ class WindowSearch(JointSearch):
             usage, own_usage = np.zeros(n), np.zeros(len(own))
             total = kernels.use_prices(price, own, *given, usage, own_usage) + price.sum() + own.sum()
             for members, cliques, number in rules:
-                costs = own[network.own[members]] + cliques.T @ price
+                costs = own[network.owner[members]] + cliques.T @ price
                 order = np.argsort(costs, kind="stable")
-                order = order[np.sort(np.unique(network.own[members][order], return_index=True)[1])][:number]
+                order = order[np.sort(np.unique(network.owner[members][order], return_index=True)[1])][:number]
                 total -= costs[order].sum()
-                own_usage[network.own[members][order]] += 1.0
+                own_usage[network.owner[members][order]] += 1.0
                 usage += cliques[:, order].sum(axis=1)
             late = 0 if total < best else late + 1
             best = min(best, total)
@@ -227,7 +227,7 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     epochs = cadences.epochs
     low, high, n_exp, limit = np.concatenate(epochs, axis=1)
     real = np.flatnonzero(network.rank < network.n_classes)
-    tile = np.repeat(time_of, np.diff(network.first))[network.own[real]]
+    tile = np.repeat(time_of, np.diff(network.first))[network.owner[real]]
     key = network.target[real].astype(np.int64) * n_tiles + tile
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)

@@ -177,23 +177,23 @@ def test_a_tile_that_was_undone_after_a_new_plan_is_observed_again(survey):
 DONE = events(tile=11, date=NIGHT)
 CANCELED = [DONE, events(tile=11, state="planned")]
 DEPENDENT = {
-    "record 2 must .* tile 11, and changes visits of its observation": [
+    "record 2 must .* because it lists visits of an observation of tile 11": [
         (DONE, events(tile=11, date=NIGHT, positioner="0")),
         1,
     ],
-    "record 3 must .* tile 11, and observes it, although it would be finished": [
+    "record 3 must .* because it observes tile 11, which would be finished": [
         (DONE, events(tile=11, date=NIGHT, state="bad"), events(tile=11, date="2026-01-04")),
         2,
     ],
-    "record 2 must .* tile 11, and is an observation at its new position": [
+    "record 2 must .* because it observes tile 11 at its new position": [
         (events(tile=11, state="added", ra=120.05, dec=30.0), None, events(tile=11, date="2026-01-04")),
         1,
     ],
-    "record 3 must .* tile 11, and drops it, although it would be finished": [
+    "record 3 must .* because it drops tile 11, which would be finished": [
         (*CANCELED, events(tile=11, state="dropped")),
         2,
     ],
-    "record 3 must .* tile 11, and moves it, although it would be observed": [
+    "record 3 must .* because it moves tile 11, which would be observed": [
         (*CANCELED, events(tile=11, state="added", ra=120.05, dec=30.0)),
         2,
     ],
