@@ -175,7 +175,7 @@ def _with_options(text: str, words: list[str]) -> str:
     """
     names = dict.fromkeys(word.partition("=")[0] for word in words)
     typed = {name[2:].replace("-", "_"): name for name in names if name.startswith("--")}
-    typed |= {other: typed[name] for other, name in INNER.items() if name in typed}
+    typed |= {inner: typed[name] for inner, name in INNER.items() if name in typed}
     typed |= {name.rpartition(".")[2]: name for name in names if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+", name)}
 
     def option(match: re.Match) -> str:

@@ -85,7 +85,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
         "arm_model": plane.positioner.arm_model,
         **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
-        **{one.name: total[one.name] for one in MOTION if one.name in total},
+        **{count.name: total[count.name] for count in MOTION if count.name in total},
         **{name: total[name] for name in (LOST, ALSO_SCIENCE.name) if total.get(name)},
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "collision_rate_assigned": total["n_colliding_assigned"] / max(total["n_assigned"], 1),

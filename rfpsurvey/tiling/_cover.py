@@ -68,7 +68,7 @@ class RegionCover:
 
     def make_passes(self, make: Callable, passes: int, where: Centers) -> list[np.ndarray]:
         """Return the centers of each pass."""
-        index, found, allowed = SkyIndex(self.samples), [], where.vectors
+        index, centers_of_passes, allowed = SkyIndex(self.samples), [], where.vectors
         for number in range(passes):
             centers = where.limits.fit(make(self.center, self.reach, self.radius, number), self.radius)
             centers = centers[distance_to(self.region, centers) <= self.radius * (1 + 1e-12)]
@@ -76,8 +76,8 @@ class RegionCover:
                 centers = snap(centers, allowed, self.look, self.radius)
             else:
                 centers = _needed(index, centers, self.radius, self.margin)
-            found.append(centers)
-        return found
+            centers_of_passes.append(centers)
+        return centers_of_passes
 
     def quality(self, tiles: np.ndarray, limits: Declinations) -> dict:
         """Return numbers that describe how well tiles cover the region."""

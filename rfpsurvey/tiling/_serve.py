@@ -82,10 +82,10 @@ class FreeFibers:
             return near
         keys = [np.arange(len(near))]
         if self.neighbors is not None:
-            indptr, other = self.neighbors
+            indptr, neighbor = self.neighbors
             first, size = indptr[near], indptr[near + 1] - indptr[near]
             of_pair = np.repeat(np.arange(len(near)), size)
-            too_close = other[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
+            too_close = neighbor[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
             degree = np.bincount(of_pair[np.isin(too_close, near)], minlength=len(near))
             keys.append(degree)
         if state.chances is not None:
@@ -98,7 +98,7 @@ class FreeFibers:
             for k in order[degree[order] > 0].tolist():
                 if near[k] not in blocked:
                     taken[k] = True
-                    blocked.update(other[first[k] : first[k] + size[k]].tolist())
+                    blocked.update(neighbor[first[k] : first[k] + size[k]].tolist())
             order = order[taken[order]]
         return near[np.sort(order[: self.fibers])]
 
@@ -172,7 +172,7 @@ def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.nda
     pairs = cKDTree(vectors).query_pairs(chord, output_type="ndarray")
     distance = np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=1)
     pairs = pairs[distance < chord]  # the tree also returns pairs exactly at this distance
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    indptr = np.searchsorted(both[:, 0], np.arange(len(vectors) + 1))
-    return indptr, both[:, 1]
+    ordered = np.concatenate([pairs, pairs[:, ::-1]])
+    ordered = ordered[np.lexsort((ordered[:, 1], ordered[:, 0]))]
+    indptr = np.searchsorted(ordered[:, 0], np.arange(len(vectors) + 1))
+    return indptr, ordered[:, 1]

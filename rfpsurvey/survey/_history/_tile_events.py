@@ -180,7 +180,7 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
 def _check_possible(event: TileEvent, history: History) -> None:
     """Raise an error if an event contradicts the observations of its tile."""
     attempts, name = history.states.of(event.row), event.tile
-    done = [other for other in attempts if other.state == TileState.DONE and other.observation != event.observation]
+    done = [past for past in attempts if past.state == TileState.DONE and past.observation != event.observation]
     if event.state == TileState.ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
         raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
     if event.state == TileState.DROPPED and done:
@@ -245,9 +245,9 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
                 f"positioner must be given for target {name} of tile {event.tile}, because "
                 f"{len(positioners_of[what][name])} targets of this tile have this identifier, got only the target"
             )
-        other = columns["target"][k] if what == "positioner" and columns["target"] else ""
-        if other and (name, other) not in pairs:
-            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
+        target = columns["target"][k] if what == "positioner" and columns["target"] else ""
+        if target and (name, target) not in pairs:
+            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {target!r}")
         if columns["good"] is None or not columns["good"][k]:
             failed |= dict.fromkeys(positioners_of[what][name], columns["reason"][k])
         else:

@@ -61,7 +61,7 @@ class Patches:
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
         self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
-        patch = label[network.own]
+        patch = label[network.positioner]
         inside = np.flatnonzero(patch >= 0)
         part = csr_array((np.ones(len(inside)), (inside, patch[inside])), shape=(len(patch), max(self.n, 1)))
         self._used = network.matrix @ part  # number of candidates of each set in each patch
@@ -128,9 +128,9 @@ class Patches:
         mine = np.searchsorted(rows, now)
         x = np.zeros(len(rows))
         x[mine] = 1.0
-        rest = limits[sets] - (load[sets] - part @ x)
+        free = limits[sets] - (load[sets] - part @ x)
         usable = network.usable[rows] | (x > 0)
-        is_open, start, sets = _without_full_sets(part, rest, ends, usable, sets >= len(network.most))
+        is_open, start, sets = _without_full_sets(part, free, ends, usable, sets >= len(network.most))
         rows, first = rows[is_open], (np.cumsum(is_open) - 1)[mine]
         gap = precision / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
         return rows, WeightedProblem(start, weight[rows], *sets, first, NODES, gap, deadline)

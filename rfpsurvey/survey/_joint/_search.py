@@ -282,9 +282,9 @@ class Search(JointSearch):
             of_targets = np.where(np.arange(n) >= network.n_cliques, price.price[:n], 0.0)
             scarce = network.matrix.T @ of_targets
         value = -scarce / max(scarce.max(initial=0.0), 1e-12)
-        others = network.rank == network.n_classes
-        if others.any():  # fibers without science targets observe sky positions and standards rather than nothing
-            value = 0.75 * value + 0.25 * others
+        unspent = network.rank == network.n_classes
+        if unspent.any():  # fibers without science targets observe sky positions and standards rather than nothing
+            value = 0.75 * value + 0.25 * unspent
         target = network.target[self.chosen]
         made = np.bincount(target[target >= 0], minlength=len(network.slot))
         unmet = np.append(network.visits > made, False)
@@ -317,15 +317,15 @@ class Search(JointSearch):
         for group in patches.colors():
             if self.out_of_time():
                 break
-            found, deadline = [], self._deadline()
+            programs, deadline = [], self._deadline()
             group = [k for k in group if is_useful(k)]
             for k in group:
                 tie = TIE / max(len(patches.members[k]), 1)
                 weight = by_class[network.rank] + tie * value
                 precision = PRECISION_OF_GOALS * tie if goals else PRECISION
-                found.append(patches.within(k, self.chosen, load, limits, weight, deadline, precision))
-            results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
-            for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
+                programs.append(patches.within(k, self.chosen, load, limits, weight, deadline, precision))
+            results = map_in_order(executor, solve_weighted, [problem for _, problem in programs])
+            for k, (rows, _), (chosen, _) in zip(group, programs, results, strict=True):
                 if chosen is not None:
                     self._take(patches.members[k], rows[chosen], load, limits, goals)
 
@@ -336,15 +336,15 @@ class Search(JointSearch):
         allows. If there are ``goals``, plans of equal value must increase the sum of the first of them that differs.
         """
         network, old = self.network, self.chosen[members]
-        counts = [tuple(network.counts(one)) for one in (old, new)]
+        counts = [tuple(network.counts(candidates)) for candidates in (old, new)]
         if counts[1] < counts[0] or np.array_equal(new, old):
             return
         goals = goals if counts[1] == counts[0] else ()
-        sums = [[one[plan].sum() for one in goals] for plan in (old, new)]
+        sums = [[goal[plan].sum() for goal in goals] for plan in (old, new)]
         if goals and tuple(sums[1]) <= tuple(sums[0]):
             return
         change = new != old
-        before, after = (network.columns[:, one[change]] for one in (old, new))
+        before, after = (network.columns[:, candidates[change]] for candidates in (old, new))
         sets, row = np.unique(np.append(before.indices, after.indices), return_inverse=True)
         added = np.bincount(row.reshape(-1), np.append(-before.data, after.data), len(sets))
         if (load[sets] + added > limits[sets] + TOLERANCE).any():
