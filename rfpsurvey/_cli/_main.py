@@ -182,6 +182,7 @@ def _with_options(text: str, words: list[str]) -> str:
         return match[0] if match[0] in names else typed.get(match[0].rpartition(".")[2], match[0])
 
     text = re.sub(r"[a-z_]+=\S* \(or (--[^)]+)\)", r"\1", text)
+    # a name before "must" is a parameter; elsewhere, only names with an underscore (and rng) differ from words
     text = re.sub(r"^[a-z_.]+(?= (must|has no effect) )", option, text)
     return re.sub(r"(?<![\w'=.-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
 

@@ -182,6 +182,7 @@ def _over_skies(lattice, skies, look, *, whole=False):
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
     loss = max(lost.sum() / total, 0.0)  # the plan that ignores collisions can have fewer fibers in the center
+    # standard error of a ratio of two sums over realizations, to first order
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1 and (whole or loss == 0):
         error = max(error, 1 / total)

@@ -55,15 +55,7 @@ class SelectedRows(NamedTuple):
 
 
 class CatalogTargets:
-    """The targets of a catalog in memory, in the order of slots.
-
-    Parameters
-    ----------
-    catalog : Catalog
-        The catalog.
-    index : SkyIndex or SelectedRows
-        The targets, in the order of slots.
-    """
+    """The targets of a catalog in memory, in the order of slots, which is that of ``index``."""
 
     def __init__(self, catalog: Catalog, index: SkyIndex | SelectedRows):
         self.catalog, self.index = catalog, index

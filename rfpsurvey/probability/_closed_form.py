@@ -133,6 +133,7 @@ def _lens(a, b, d):
     partly = ~apart & ~within
     area = np.where(within, np.pi * small**2, 0.0)
     a, b, d = a[partly], b[partly], d[partly]
+    # two circular sectors, minus the kite between the centers and the intersections, which both sectors contain
     first_sector = a**2 * np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
     second_sector = b**2 * np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
     kite = 0.5 * np.sqrt(np.maximum((-d + a + b) * (d + a - b) * (d - a + b) * (d + a + b), 0.0))

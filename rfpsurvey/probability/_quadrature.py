@@ -149,9 +149,7 @@ class Quadrature:
         entries = make_entries(len(group), len(rows))
         entries.weight[: len(rows)] = self._weight(rows, tips)
         entries.segments[:, : len(rows)] = plane.arrays.segments_of(rows, None, tips)
-        queues.prepare_entries(
-            np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, group].copy(), entries
-        )
+        queues.prepare_entries(np.append(0, np.cumsum(n_points * moving)), self._idle[:, group].copy(), entries)
         if not (entries.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)
         if not (entries.total[moving] > 0).all():

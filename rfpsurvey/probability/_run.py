@@ -160,7 +160,7 @@ def summarize(tallies: list[CollisionSums], question: ProbabilityQuestion) -> di
         )
     tally, rates = merge(tallies), np.concatenate(parts)
     n, p = len(rates), min(float(np.mean([part.mean() for part in parts])), 1.0)
-    # the weight of a realization is 1 / len(parts) / len(own)
+    # the weight of a realization is 1 / len(parts) / len(part)
     scatter = float(rates.std(ddof=1) * np.sqrt(sum(1 / len(part) for part in parts)) / len(parts)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
     student = quantile(precision.confidence, n - 1)

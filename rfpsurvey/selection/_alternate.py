@@ -120,13 +120,7 @@ def failure_rates(plane: FocalPlane, visits: np.ndarray, failed: tuple[str, ...]
 
 
 class History:
-    """The visits that the observed tiles made in the realizations of a block.
-
-    Parameters
-    ----------
-    n_targets, n_realizations : int
-        Numbers of targets and of realizations.
-    """
+    """The visits that the observed tiles made in the realizations of a block."""
 
     def __init__(self, n_targets: int, n_realizations: int):
         self.counts = np.zeros((n_realizations, 2), dtype=np.int64)
@@ -148,7 +142,9 @@ class History:
         targets, mask, good, counts = self._visits[row, number]
         self.counts += sign * counts
         for visits, bits in ((self.made, good[failed]), (self.failed, mask & ~good[failed])):
-            visits[:, targets] += np.uint8(sign % 256) * to_bits(bits, len(counts)).T  # modulo 256
+            visits[:, targets] += (
+                np.uint8(sign % 256) * to_bits(bits, len(counts)).T
+            )  # modulo 256, adding 255 subtracts 1
 
     def open_state(self, generation: Generation) -> State:
         """Return the state of the targets before a generation is planned.

@@ -11,16 +11,7 @@ from rfpsurvey.survey._work import DONE, EXCLUDED, LOST_IN_COLLISION, REACHED, S
 class Tally:
     """Numbers of targets and visits in each pass and each class; a class is, for example, all targets of one priority.
 
-    Parameters
-    ----------
-    class_of : ndarray of int
-        Index of the class of each target, in the order of slots (see `Bookkeeping`).
-    names : list of str
-        Names of the classes.
-    wanted : ndarray of int
-        Requested number of visits of each target, in the order of slots.
-    n_passes : int
-        Number of passes.
+    ``class_of`` and the requested visits (``wanted``) are in the order of slots (see `Bookkeeping`).
     """
 
     def __init__(self, class_of: np.ndarray, names: list[str], wanted: np.ndarray, n_passes: int):
@@ -76,11 +67,7 @@ def rows_by_class(counts: dict[str, tuple[list[str], np.ndarray]]) -> list[tuple
 class Bookkeeping:
     """Record of the visits of each target; tiles that share no target can be recorded in any order.
 
-    Parameters
-    ----------
-    request : Request
-        The targets, with their requested numbers of visits, and the tiles. The *slot* of a target is its index in the
-        arrays of ``request.builder`` and of this class.
+    The *slot* of a target is its index in the arrays of ``request.builder`` and of this class.
     """
 
     def __init__(self, request):

@@ -202,14 +202,8 @@ class Cadences:
 class Windows:
     """The epochs that targets have completed, and their open windows, while the tiles are planned.
 
-    Parameters
-    ----------
-    cadences : Cadences
-        The cadences.
-    row : ndarray of int
-        Row of the cadence of each target, in the order of slots; -1 for none.
-    days, brightness : ndarray of float, shape (n_tiles,)
-        Time (MJD) and sky brightness of each tile.
+    ``row`` is the row of the cadence of each target, in the order of slots, or -1. ``days`` is the time (MJD) of each
+    tile.
     """
 
     def __init__(self, cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray):

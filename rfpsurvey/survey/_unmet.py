@@ -93,9 +93,8 @@ def shortfall_counts(plan: FieldPlan, options: AllocationOptions) -> dict[CountO
                 counts[CountOfRule(str(constraint), NOT_CHECKABLE)] = 1
     for lack in plan.allocation.unmet:
         what = REQUIRED if lack.requirement is None else str(lack.requirement)
-        counts[CountOfRule(what, MISSING if lack.requested > lack.found else EXCESS)] += abs(
-            lack.requested - lack.found
-        )
+        n_missing = lack.requested - lack.found
+        counts[CountOfRule(what, MISSING if n_missing > 0 else EXCESS)] += abs(n_missing)
     for text, sentences in plan.violations.items():
         name = CountOfRule(text, VIOLATED)
         if name not in counts:  # the count of keep-out circles has their name only

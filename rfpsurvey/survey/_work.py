@@ -27,21 +27,7 @@ VISITS_UNITS = {name: column.unit for name, column in VISITS_COLUMNS.items() if 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The data that all tiles of a survey share; each worker process unpacks these data only once.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The instrument.
-    options : AllocationOptions
-        Options of the allocation.
-    blank : BlankIds or None
-        Identifiers of blank sky positions; None if no blank sky positions are added.
-    lost_in_collision : bool
-        Whether a target counts as not observed if the arm at this target collides.
-    units : dict
-        Units of the additional columns of the catalog, by name.
-    """
+    """The data that all tiles of a survey share; each worker process unpacks these data only once."""
 
     instrument: Instrument
     options: AllocationOptions

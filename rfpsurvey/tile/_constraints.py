@@ -79,17 +79,14 @@ class ScoredConstraints:
         n_both = 0 if kind is None else count_also_science(kind, [count.what for count in self.options.counts])
         for count in counts:
             numbers.setdefault(count.rule, []).append(count.number)
-        unknown = "the plan does not have the kinds of its targets"
+        unknown, constraints = "the plan does not have the kinds of its targets", self.options.all_constraints
         counts = [
             count if self._knows(group.requirement.what) else count.unknown(unknown)
             for count, group in zip(counts, targets.groups, strict=True)
         ]
         return {
-            "n_constraints": len(self.options.all_constraints),
-            "n_unmet": sum(
-                bool(violations.get(str(constraint)) or wrong & {*constraint.counts})
-                for constraint in self.options.all_constraints
-            ),
+            "n_constraints": len(constraints),
+            "n_unmet": sum(bool(violations.get(str(each)) or wrong & {*each.counts}) for each in constraints),
             "requirements": numbers,
             **({"n_also_science": n_both} if n_both else {}),
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],

@@ -369,9 +369,7 @@ def idle_tables(idle: IdleReasons, targets: TargetsOfField, positioner_id: np.nd
     return describe(table, IDLE_COLUMNS), describe(free, IDLE_COLUMNS)
 
 
-def _texts(groups, positioner_id) -> np.ndarray:
+def _texts(groups, ids) -> np.ndarray:
     """Return the identifiers of positioners and obstacles as text, separated by spaces."""
-    names = [
-        " ".join(str(positioner_id[k]) if k >= 0 else f"obstacle-{-1 - k}" for k in sorted(rows)) for rows in groups
-    ]
+    names = [" ".join(str(ids[k]) if k >= 0 else f"obstacle-{-1 - k}" for k in sorted(rows)) for rows in groups]
     return np.array(names, dtype=str)

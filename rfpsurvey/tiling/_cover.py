@@ -45,17 +45,7 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
 
 
 class RegionCover:
-    """Coverings of a region, and their quality.
-
-    Parameters
-    ----------
-    region : Region
-        Region to cover.
-    radius : float
-        Radius of a tile in radians.
-    exclude : tuple of Region
-        Regions that need not be covered.
-    """
+    """Coverings of a region, except for the regions in ``exclude``, and their quality; radii are in radians."""
 
     def __init__(self, region: Region, radius: float, exclude: tuple[Region, ...]):
         self.region, self.radius = region, radius
@@ -146,6 +136,7 @@ def _needed(index, centers, radius, margin):
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
     if radius <= 2 * margin:
         return centers[[len(rows) > 0 for rows in touched]]
+    # a pixel inside this smaller circle is completely inside the tile
     sure = [index.near(center, radius - margin) for center in centers]
     depth = np.zeros(len(index), dtype=np.int64)
     for rows in sure:

@@ -52,7 +52,7 @@ def _fewest(problem: TilingProblem) -> TilingState:
         elif n >= most or stuck >= 6:
             return best
         else:
-            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
+            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))  # completeness in proportion to tiles
             low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
     # an attempt may observe all targets before all of its tiles are used
     high = len(reached.rows)

@@ -92,7 +92,7 @@ class FreeFibers:
             keys.append(state.chances[near])
         if self.priority is not None:
             keys.append(-self.priority[near])
-        order = np.lexsort(keys)
+        order = np.lexsort(keys)  # the last key is the first criterion
         if self.neighbors is not None:
             taken, blocked = degree == 0, set()
             for k in order[degree[order] > 0].tolist():
@@ -105,28 +105,13 @@ class FreeFibers:
 
 @dataclass(eq=False)
 class FocalPlaneFibers(FieldsOfTiles):
-    """The positioners of an instrument with an allocator; tiles are planned as in a survey.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The instrument.
-    builder : FieldBuilder
-        The targets, and the allocator with its options.
-    fibers : Fibers
-        Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
-    tiling : Tiling or float
-        The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
-    seed : int
-        Seed of the random numbers; each tile has its own stream.
-    reference : Time or None
-        Epoch of the targets, if they are moved to the times of the tiles.
-    """
+    """The positioners of an instrument with an allocator; tiles are planned as in a survey."""
 
     instrument: Instrument
     builder: FieldBuilder
     fibers: Fibers
     tiling: Tiling | float
+    """The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed."""
     seed: int
     reference: Time | None
 

@@ -42,7 +42,7 @@ def append_events(
         lines = StringIO()
         csv.writer(lines, lineterminator="\n").writerows([rows.colnames, *rows.iterrows()])
         kind, ending, content = "rows", "csv", lines.getvalue().encode()
-    if content is not None:
+    if content is not None:  # written before the file that names it, so that a killed process leaves no broken chain
         tables[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
         _io.write_bytes(folder / EVENTS / tables[kind], content, sync=True)
     about = {

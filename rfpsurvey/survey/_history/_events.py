@@ -82,10 +82,8 @@ class TileEvent(NamedTuple):
         """Return whether the table of this event states everything that the table of another event states."""
         if (self.row, self.date, self.place) != (other.row, other.date, other.place):
             return False
-        stated, repeated = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
-        return (
-            repeated in ((), stated) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
-        )
+        stated, needed = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
+        return needed in ((), stated) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
 
 
 @dataclass(frozen=True)

@@ -186,7 +186,7 @@ def _counterparts(tiling: Tiling, earlier: QTable) -> list[int]:
         near = index.order[index.near(vector, np.deg2rad(TOLERANCE))]
         turn = (places[near, 2] - place[2] + 180) % 360 - 180
         fits.append(near[np.abs(turn) <= TOLERANCE].tolist())
-    for by_name in (True, False):
+    for by_name in (True, False):  # first the tiles with the same identifier
         for k in np.flatnonzero(row_of_earlier < 0).tolist():
             rows = [row for row in fits[k] if row not in used and (not by_name or names[row] == earlier_names[k])]
             if rows:

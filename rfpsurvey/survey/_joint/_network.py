@@ -109,6 +109,7 @@ class Network:
         if len(positioner) > most_edges or len(positioner) == 0:
             return float(simple)
         used, positioner = np.unique(positioner, return_inverse=True)
+        # flow from positioners to pairs of a tile and a target (at most one visit), and from these to targets
         n, k = len(used), len(place)
         source, sink = n + k + m, n + k + m + 1
         tail = np.concatenate([np.full(n, source), positioner, n + np.arange(k), n + k + np.arange(m)])

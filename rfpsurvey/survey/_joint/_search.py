@@ -72,14 +72,7 @@ class Step(NamedTuple):
 class JointSearch:
     """A plan of all tiles, and upper bounds of its numbers of visits, which the iterations of a search improve.
 
-    Parameters
-    ----------
-    network : Network
-        The candidates of all tiles.
-    chosen : ndarray of int, shape (n_positioners,)
-        Candidate of each positioner in the first plan.
-    options : JointOptions
-        The options.
+    ``chosen`` is the candidate of each positioner in the first plan.
     """
 
     def __init__(self, network: Network, chosen: np.ndarray, options: JointOptions):
@@ -258,6 +251,7 @@ class Search(JointSearch):
         deadline = self._deadline()
         problems = [patches.alone(k, value, deadline) for k in range(patches.n)]
         total = float(cross @ network.most) + float(value[patches.only].sum())
+        # an allowance for rounding errors, with which the sum remains an upper bound
         total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
             total += bound

@@ -26,17 +26,7 @@ ROUNDING = 1e-6, 1e-9
 
 
 class WindowSearch(JointSearch):
-    """A plan of all tiles that observes targets in their windows, and upper bounds.
-
-    Parameters
-    ----------
-    network : Network
-        The candidates of all tiles.
-    chosen : ndarray of int, shape (n_positioners,)
-        Candidate of each positioner in the first plan.
-    request : Request
-        The request of the survey, with cadences.
-    """
+    """A plan of all tiles that observes targets in their windows, and upper bounds."""
 
     def __init__(self, network: Network, chosen: np.ndarray, request):
         super().__init__(network, chosen, request.joint)
@@ -192,6 +182,7 @@ class WindowSearch(JointSearch):
             usage, arm_usage = np.zeros(n), np.zeros(len(arm_price))
             total = kernels.use_prices(price, arm_price, *given, usage, arm_usage) + price.sum() + arm_price.sum()
             for members, cliques, number in rules:
+                # every plan uses at least this number of these candidates, and pays at least the cheapest ones
                 costs = arm_price[network.positioner[members]] + cliques.T @ price
                 order = np.argsort(costs, kind="stable")
                 order = order[np.sort(np.unique(network.positioner[members][order], return_index=True)[1])][:number]
@@ -205,10 +196,12 @@ class WindowSearch(JointSearch):
             if best < value + 1 or self.out_of_time(limit):
                 break
             more, arm_more = usage - 1.0, arm_usage - 1.0
+            # prices are not negative, so that a price of 0 cannot decrease
             more[(price == 0) & (more < 0)] = arm_more[(arm_price == 0) & (arm_more < 0)] = 0.0
             norm = more @ more + arm_more @ arm_more
             if norm == 0:
                 break
+            # Polyak's step: the value of the present plan stands for the unknown smallest bound
             size = step * (total - value) / norm
             price, arm_price = np.maximum(price + size * more, 0.0), np.maximum(arm_price + size * arm_more, 0.0)
         return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + arm_price.sum())))
