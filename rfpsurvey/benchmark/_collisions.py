@@ -201,6 +201,7 @@ def _true_pairs(case):
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
+    # the midpoints of two colliding arms are at most the length of an arm plus the minimum separation apart
     longest = np.hypot(*(ends[2:] - ends[:2])).max(initial=0.0)
     tree = cKDTree(0.5 * (ends[:2] + ends[2:]).T)
     pairs = np.sort(there[tree.query_pairs(longest + 1.001 * separation, output_type="ndarray")], axis=1).tolist()

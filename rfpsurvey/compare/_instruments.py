@@ -283,6 +283,7 @@ def _gains(model: Instrument, allocator: AllocationOptions, plans: Sequence[Plan
     )
     probabilities = [plan.probability for plan in plans]
     value, low, high = rate_interval(model.focal_plane, probabilities, CONFIDENCE)
+    # without collisions by construction, not by chance
     if value == 0 and allocator.method.avoids_collisions:
         high = 0.0
     counted = np.count_nonzero(~np.isnan(probabilities))

@@ -70,6 +70,7 @@ def start_of(model: Instrument) -> Start:
             f"the arm model {arm_model!r} of {model.name}"
         )
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
+    # the minimum separation is 2 c + (l1 + l2) sin(2 step), from which the step follows
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:
         raise InputError(

@@ -140,12 +140,12 @@ def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
     """Return the key of a name, and the rest of the name if it is the name of an entry of a table, such as a column."""
     if name in keys:
         return keys[name], ""
-    head, _, rest = name.partition(".")
-    while rest:
+    head, _, entry = name.partition(".")
+    while entry:
         key = keys.get(head)
         if isinstance(key, Key) and dict in key.kinds:
-            return key, rest
-        more, _, rest = rest.partition(".")
+            return key, entry
+        more, _, entry = entry.partition(".")
         head = f"{head}.{more}"
     inside = next((key_name for key_name in keys if key_name.startswith(f"{name}.")), None)
     if inside is not None:
@@ -160,9 +160,9 @@ def add(keys: dict[str, Key | Part], values: dict, name: str, value: object, bas
     """Add the value of a key, or the values of a table, to ``values``; paths are relative to the folder ``base``."""
     is_table = isinstance(value, dict) and any(key_name.startswith(f"{name}." if name else "") for key_name in keys)
     if name in keys or not is_table:
-        key, rest = find(keys, name)
+        key, entry_name = find(keys, name)
         if isinstance(key, Key):
-            _add_one(key, values, {rest: value} if rest else value, base)
+            _add_one(key, values, {entry_name: value} if entry_name else value, base)
             return
         if isinstance(value, str) and key.from_text is not None:
             value = key.from_text(value)

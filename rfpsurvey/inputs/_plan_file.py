@@ -134,11 +134,11 @@ def add_text(keys: dict, values: dict, text: str, earlier: set[str]) -> None:
     name, sign, value = (part.strip() for part in text.partition("="))
     if not (name and sign and value):
         raise InputError(f"--set must have the form KEY=VALUE, such as joint.time_limit=600, got {text!r}")
-    key, rest = find(keys, name)
+    key, entry_name = find(keys, name)
     parsed = _value(value)
     if isinstance(key, Key):
-        is_table = isinstance(parsed, dict) and dict in key.kinds and not rest
-        if key.texts_only(entry=bool(rest)) and not (is_table or isinstance(parsed, str | list)):
+        is_table = isinstance(parsed, dict) and dict in key.kinds and not entry_name
+        if key.texts_only(entry=bool(entry_name)) and not (is_table or isinstance(parsed, str | list)):
             parsed = value
         if list in key.kinds and key.name in earlier:
             before, new = (value if isinstance(value, list) else [value] for value in (values[key.name], parsed))

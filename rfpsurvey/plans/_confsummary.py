@@ -206,6 +206,7 @@ def _parse(path: Path):
     if "FIBERMAP;" in text and n == 0:
         raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
     widths = sum(map(int, re.findall(r"\[(\d{1,12})\]", text.partition("FIBERMAP;")[0])))
+    # four bytes per character in memory; a small file can declare columns that would fill the memory
     if 4 * widths * n > max(MOST_BYTES, 64 * len(text)):
         raise InputError(f"{path}: {n} rows of text must fit into memory, got {widths} characters in each row")
     with _yanny() as module, tempfile.TemporaryDirectory() as folder:

@@ -102,7 +102,7 @@ def read(path: Path) -> QTable:
         header=header,
         racen=_angle(header, "TILERA", path),
         deccen=_angle(header, "TILEDEC", path),
-        position_angle=None if rotation is None else 0.0 - rotation,
+        position_angle=None if rotation is None else 0.0 - rotation,  # never -0.0
         epoch=_epoch(values.get("REF_EPOCH")),
         **from_keywords(header),
     )
@@ -182,7 +182,7 @@ def _kinds(values) -> np.ndarray:
         roles = (("science", SCIENCE), ("standard", STANDARD), ("sky", SKY | SUPPLEMENTAL_SKY))
         sums, rows = np.unique(bits, return_inverse=True)
         names = ["+".join(role for role, bit in roles if bits_of_target & bit) for bits_of_target in sums.tolist()]
-        return np.array([*names, "standard"])[rows.reshape(-1)]
+        return np.array([*names, "standard"])[rows.reshape(-1)]  # text of at least eight characters, even without rows
     if "OBJTYPE" in values:
         word = np.char.strip(values["OBJTYPE"])
         conditions = [word == "SKY", np.zeros(len(word), dtype=bool), word == "TGT"]

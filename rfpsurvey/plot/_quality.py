@@ -206,7 +206,8 @@ def _series_of(tile) -> list[Series]:
 
     series = []
     requirements = requirements[:MOST_SERIES]
-    for requirement, name in zip(requirements, short_names([each.what for each in requirements]), strict=True):
+    names = short_names([requirement.what for requirement in requirements])
+    for requirement, name in zip(requirements, names, strict=True):
         label = name + (f" ({requirement.fiber_type})" if requirement.fiber_type else "")
         series.append(Series(label, counted(requirement), requirement.minimum, requirement.per))
     series = [shown for shown in series if shown.rows.any() or shown.minimum]

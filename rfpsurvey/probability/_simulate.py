@@ -236,7 +236,7 @@ class Simulation:
         allocation = assign(self.plane, self.source.draw(rng), columns, self.options, rng)
         if allocation.queues is not None:
             return allocation
-        target = allocation.target_of_positioner
+        target = allocation.target_of_positioner  # without queues, the queue of a positioner is its target
         one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
         return replace(allocation, queues=one_each)
 

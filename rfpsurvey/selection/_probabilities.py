@@ -248,6 +248,7 @@ class SelectionProbabilities:
 
     def _rows(self, rows: slice) -> QTable:
         """Return the table for a slice of the targets."""
+        # bits are written as signed integers, because FITS has no unsigned integers of 64 bits
         part = replace(self, **{column.name: getattr(self, column.name)[rows] for column in fields(self)[:-1]})
         values = {name: part.bits.view(np.int64) if name == "BITWEIGHTS" else getattr(part, name) for name in TARGETS}
         values |= {name: values[name].astype(kind) for name, kind in STORED.items()}

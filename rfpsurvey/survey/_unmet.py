@@ -64,7 +64,7 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[CountOfRule, 
 
 def _tags(texts: list[str]) -> dict[str, str]:
     """Return four letters or digits for each text, which depend on the text; those of different texts are different."""
-    tags: dict[str, str] = {}
+    tags: dict[str, str] = {}  # FITS keywords, such as MISS and a tag, have at most eight characters
     for text in dict.fromkeys(texts):
         number = zlib.crc32(text.encode())
         while (tag := "".join(TAG[number // 36**k % 36] for k in range(4))) in tags.values():

@@ -50,7 +50,7 @@ class Model:
         return tuple(cards.items())
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=4)  # the jobs of a worker share one object
 def _unpack(packed: bytes) -> Model:
     return Model(*pickle.loads(packed))
 

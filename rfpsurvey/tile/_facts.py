@@ -161,13 +161,13 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, float, str]]:
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
         return []
-    shown, rest, totals = split_objectives(objectives, most)
+    shown, summed, totals = split_objectives(objectives, most)
     listed_objectives = [_objective(*objective) for objective in shown]
-    if rest:
+    if summed:
         # the last class in a summary can itself be the sum of many classes
-        last, _, words = rest[-1][0].partition(" ")
-        n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
-        value = round(sum(abs(value) for _, value, _ in rest))
+        last, _, words = summed[-1][0].partition(" ")
+        n_classes = len(summed) - 1 + (int(last) if words == "more classes" else 1)
+        value = round(sum(abs(value) for _, value, _ in summed))
         listed_objectives.append((number_of(n_classes, "more class", "more classes"), value, ""))
     return listed_objectives + [_objective(*objective) for objective in totals]
 

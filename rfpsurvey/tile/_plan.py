@@ -286,8 +286,8 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
 def _objectives(levels: list) -> list:
     """Return the name, value and bound of each objective; one item can be the sum of many classes."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
-    shown, rest, totals = split_objectives(rows, MOST_OBJECTIVES)
-    more = [[f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]] if rest else []
+    shown, summed, totals = split_objectives(rows, MOST_OBJECTIVES)
+    more = [[f"{len(summed)} more classes", sum(value for _, value, _ in summed), None]] if summed else []
     return [*shown, *more, *totals]
 
 

@@ -84,6 +84,7 @@ class FreeFibers:
         if self.neighbors is not None:
             indptr, neighbor = self.neighbors
             first, size = indptr[near], indptr[near + 1] - indptr[near]
+            # the neighbors of all targets, one target after the other, without a loop
             of_pair = np.repeat(np.arange(len(near)), size)
             too_close = neighbor[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
             degree = np.bincount(of_pair[np.isin(too_close, near)], minlength=len(near))

@@ -74,9 +74,10 @@ class TileEvent(NamedTuple):
         """Return this event joined with an earlier event of the same observation."""
         if earlier is None:
             return self
-        state, fraction = (self if self.has_state else earlier)[2:5:2]
+        stated = self if self.has_state else earlier
         kept = {} if self.replaces else {k: reason for k, reason in earlier.failed.items() if k not in self.good}
-        return self._replace(state=state, fraction=fraction, failed=dict(sorted((kept | self.failed).items())))
+        failed = dict(sorted((kept | self.failed).items()))
+        return self._replace(state=stated.state, fraction=stated.fraction, failed=failed)
 
     def includes(self, other: "TileEvent") -> bool:
         """Return whether the table of this event states everything that the table of another event states."""

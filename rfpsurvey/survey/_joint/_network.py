@@ -135,6 +135,7 @@ def make_network(
     n_blank = [max(k + 1 - len(slot), 0) for k, slot in zip(last, slots, strict=True)]
     blank = len(used) + np.cumsum([0, *n_blank])
     slot = np.concatenate([used, *(-2 - np.arange(n) for n in n_blank)])
+    # the last element is the place of the target -1, which idle arms have
     places = [
         np.concatenate([np.searchsorted(used, slot), b + np.arange(n), [-1]])
         for slot, b, n in zip(slots, blank, n_blank, strict=False)

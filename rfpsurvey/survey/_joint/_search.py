@@ -209,8 +209,8 @@ class Search(JointSearch):
             if self.bounds[k] == before[1][k]:
                 self.next_size[k] = self.size * GROWTH
         self.iteration += 1
-        rest = np.maximum(before[1] - before[0], 1.0)
-        gained = (self.visits - before[0] + before[1] - self.bounds) / rest
+        gap = np.maximum(before[1] - before[0], 1.0)
+        gained = (self.visits - before[0] + before[1] - self.bounds) / gap
         if (gained < LITTLE).all():
             self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
         self._record()
