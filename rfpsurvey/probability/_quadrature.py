@@ -209,7 +209,7 @@ class Quadrature:
 
 
 def _limits_of(limits, group):
-    """Return collision limits that contain only the outlines of the positioners ``own``, in this order."""
+    """Return collision limits that contain only the outlines of the positioners in ``group``, in this order."""
     outline = limits.outline
     if outline.start.size == 1:
         return limits

@@ -131,7 +131,7 @@ class History:
     def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone, used: np.ndarray) -> None:
         """Keep the visits of a tile that was observed with the plan of a generation.
 
-        ``targets`` are the rows of the targets of its field, and ``own`` selects those whose visits count.
+        ``targets`` are the rows of the targets of its field, and ``used`` selects those whose visits count.
         """
         good = {failed: mask[used] for failed, mask in zip(generation.observed[row].rates, done.good, strict=True)}
         self._visits[row, generation.number] = targets[used], done.mask[used], good, done.counts

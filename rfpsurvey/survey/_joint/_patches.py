@@ -150,7 +150,7 @@ class Patches:
 def _without_full_sets(part, slack, ends, usable=True, is_rule=False):
     """Return the candidates that are in no full set, their first index for each positioner, and the other sets.
 
-    ``rest`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
+    ``slack`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
     number are omitted. Rules (``is_rule``) also have elements other than 1, and are never omitted.
     """
     is_open = (part.T @ ((slack < 0.5) & np.logical_not(is_rule)).astype(float) == 0) & usable
