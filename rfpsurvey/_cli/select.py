@@ -91,10 +91,8 @@ def select(keys: SelectKeys, given: Given) -> None:
     survey = None if values is None else build(SurveyKeys, values)
     if survey is not None:  # the keys have the values of the survey, unless they are given
         values.pop("options.subpriority", None)  # each realization has its own subpriorities
-        shared = {
-            name: value for name, value in values.items() if name in given.keys and not name.startswith("output.")
-        }
-        asked = {name: value for name, value in given.values.items() if name != "catalog.path"}
+        shared = {name: v for name, v in values.items() if name in given.keys and not name.startswith("output.")}
+        asked = {name: v for name, v in given.values.items() if name != "catalog.path"}
         place, keys = keys.catalog.path, build(SelectKeys, shared | asked)
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"

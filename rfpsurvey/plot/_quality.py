@@ -192,7 +192,7 @@ def _series_of(tile) -> list[Series]:
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
     requirements = [Requirement.parse(text) for text in asked if isinstance(asked, list)]
-    requirements = requirements or [Requirement("sky"), Requirement("standard")]
+    requirements = (requirements or [Requirement("sky"), Requirement("standard")])[:MOST_SERIES]
     values = {name: np.asarray(t[name]) if name in t.colnames else None for name in ("kind", "category", "fiber_type")}
 
     def counted(requirement):
@@ -205,7 +205,6 @@ def _series_of(tile) -> list[Series]:
         return rows
 
     series = []
-    requirements = requirements[:MOST_SERIES]
     names = short_names([requirement.what for requirement in requirements])
     for requirement, name in zip(requirements, names, strict=True):
         label = name + (f" ({requirement.fiber_type})" if requirement.fiber_type else "")

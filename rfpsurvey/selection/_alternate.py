@@ -142,9 +142,8 @@ class History:
         targets, mask, good, counts = self._visits[row, number]
         self.counts += sign * counts
         for visits, bits in ((self.made, good[failed]), (self.failed, mask & ~good[failed])):
-            visits[:, targets] += (
-                np.uint8(sign % 256) * to_bits(bits, len(counts)).T
-            )  # modulo 256, adding 255 subtracts 1
+            # numbers of one byte are modulo 256, where adding 255 subtracts 1
+            visits[:, targets] += np.uint8(sign % 256) * to_bits(bits, len(counts)).T
 
     def open_state(self, generation: Generation) -> State:
         """Return the state of the targets before a generation is planned.

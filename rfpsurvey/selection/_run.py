@@ -53,8 +53,7 @@ def run(
             return SelectionProbabilities.read(folder.path)
         seeds, size, builder = seeds_of(request.seed, n), MOST if in_batch(request) else 1, request.builder
         bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
-        counts = []
-        tiles = len(request.tiling)
+        counts, tiles = [], len(request.tiling)
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for number, first in enumerate(range(0, n, size)):

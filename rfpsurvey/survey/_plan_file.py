@@ -237,8 +237,7 @@ def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **give
 def check_inputs(folder: Path, request: dict) -> None:
     """Raise an error if the catalog, the tiles or the instrument of the plan file differ from a recorded request."""
     keys = keys_in(folder, ("allocator", "instrument", "visits", "rule"))
-    tiling = read_tiles(keys.tiles)
-    model = None
+    tiling, model = read_tiles(keys.tiles), None
     if "instrument" not in (keys.python or ()):
         model = inputs.model_of(keys.instrument, partial(inputs.time_of_tiles, tiling, keys.epoch, keys.conditions))
         present = f"{model.name}, digest {model.provenance['digest']}"

@@ -122,8 +122,7 @@ def completeness_table(request, state: Bookkeeping) -> QTable:
     Each pass has one row for all targets and, if there are several priorities or categories, one row for each of them.
     """
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
-    names = ("n_targets", "n_requested", "n_observed", "n_complete")
-    rows = []
+    names, rows = ("n_targets", "n_requested", "n_observed", "n_complete"), []
     for k, number in enumerate(request.passes):
         for row in rows_by_class({column: tally.until(k) for column, tally in state.tallies.items()}):
             rows.append((number, n_tiles[k], *row, row[-2] / max(row[-3], 1)))

@@ -32,8 +32,7 @@ def run(
 
     The function ``record`` writes the plan file for the folder of the survey, which is locked, to a second folder.
     """
-    joint = None
-    where = nullcontext()
+    joint, where = None, nullcontext()
     if path is not None:
         request.check_text()
         where = Folder(path, request, resume=resume)

@@ -84,12 +84,9 @@ class ScoredConstraints:
             count if self._knows(group.requirement.what) else count.unknown(unknown)
             for count, group in zip(counts, targets.groups, strict=True)
         ]
-        unmet = [
-            constraint for constraint in constraints if violations.get(str(constraint)) or wrong & {*constraint.counts}
-        ]
         return {
             "n_constraints": len(constraints),
-            "n_unmet": len(unmet),
+            "n_unmet": sum(bool(violations.get(str(c)) or wrong & {*c.counts}) for c in constraints),
             "requirements": numbers,
             **({"n_also_science": n_both} if n_both else {}),
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],

@@ -151,8 +151,7 @@ def plan_tile(
     warn_of_unused_options([asked], instrument.focal_plane, rng)
     whole_catalog, radius = catalog, field_radius_rad(instrument, plain)
     warn_of_lacks(asked, partial(getattr, catalog))  # not of those of the instrument
-    margins = [constraint.margin_rad for constraint in options.all_constraints]
-    margin = max([*margins, separation_rad(options, instrument) or 0.0])
+    margin = max([separation_rad(options, instrument) or 0.0, *(c.margin_rad for c in options.all_constraints)])
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
         near = catalog.arrays.rows_near(center, radius + margin, used)

@@ -199,9 +199,8 @@ def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:
 
     The density is smoothed by a Gaussian whose standard deviation is half the radius of a tile.
     """
-    problem = state.problem
+    problem, weight = state.problem, state.weight
     sigma = SIGMA * problem.radius
-    weight = state.weight
 
     def look(place):
         near = problem.index.near(place, min(3 * sigma, np.pi), weight)
