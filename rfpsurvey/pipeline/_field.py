@@ -111,7 +111,6 @@ class FieldReach:
     """A field to which the constraints have been applied, its targets on the focal plane, and the pairs in reach."""
 
     applied: Applied
-    """The applied constraints."""
     xy: np.ndarray
     """Positions of the targets in mm, shape (n, 2)."""
     fiber_type: np.ndarray | None

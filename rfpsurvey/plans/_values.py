@@ -105,7 +105,8 @@ def to_type(values: np.ndarray, dtype: str, what: str) -> np.ndarray:
 def _whole(value: object) -> int | None:
     """Return a number or text as an integer; None if it is not a whole number."""
     try:
-        return int(value) if int(value) == (int(value) if isinstance(value, str) else value) else None
+        number = int(value)
+        return number if isinstance(value, str) or number == value else None
     except (ValueError, OverflowError, TypeError):
         return None
 

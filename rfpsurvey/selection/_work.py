@@ -42,7 +42,6 @@ class BlockJob(NamedTuple):
     left: np.ndarray
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
-    """Seed of each realization."""
     failed: Failures | None = None
     """The failures of positioners when the tile was observed; None if it was not observed."""
 

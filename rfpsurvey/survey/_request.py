@@ -228,11 +228,12 @@ class Request(FieldsOfTiles):
         those = f"the {number_of(n, 'tile')} of the folder"
         if self.joint is not None and self.state is None:
             raise InputError(f"tiles of a joint plan, which are planned together, must be {those}, got {len(tiling)}")
-        when, what = (self.days, "MJD") if self.cadences is not None else (number, "pass")
-        early = when[n:] < when[:n].max() if self.cadences is not None else when[n:] <= when[:n].max()
-        if early.any() and (self.cadences is not None or self.order == "color"):
+        is_dated = self.cadences is not None
+        when, what = (self.days, "MJD") if is_dated else (number, "pass")
+        early = when[n:] < when[:n].max() if is_dated else when[n:] <= when[:n].max()
+        if early.any() and (is_dated or self.order == "color"):
             row = n + int(np.argmax(early))
-            got = when[row] if self.cadences is not None else passes[number[row]]
+            got = when[row] if is_dated else passes[number[row]]
             raise InputError(
                 f"further tiles must be planned after {those}, and therefore have a later {what}, got the {what} {got} "
                 f"for tile {self._names[row]}"

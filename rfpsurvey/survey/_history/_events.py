@@ -109,7 +109,6 @@ class EventFile:
     undoes: int | None = None
     """Number of the file that this file undoes."""
     body: str = ""
-    """The content of the file."""
 
     @property
     def others(self) -> list[str]:
