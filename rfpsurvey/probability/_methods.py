@@ -119,7 +119,7 @@ def _of_tallies(tallies, stats, n, meta) -> dict:
     return {
         **{k: stats[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
         "value_assigned": float(np.mean(assigned)) if assigned else np.nan,
-        "pairs_per_positioner": float(np.mean([rate.mean() for tally in tallies if len(rate := tally.pair_rates)])),
+        "pairs_per_positioner": float(np.mean([pairs.mean() for tally in tallies if len(pairs := tally.pair_rates)])),
         "per_positioner": merge(tallies).per_positioner,
         "n": n,
         "meta": meta,
