@@ -128,6 +128,7 @@ def _misses(values, true):
     squares = away**2
     error = float(np.sqrt(squares.mean()))
     scatter, spread = (x.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan for x in (values, squares))
+    # the error of the square root of the mean, to first order
     return {
         "bias": away.mean(),
         "bias_error": np.hypot(scatter, true.standard_error),

@@ -194,6 +194,7 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
 def _check(key: Key, value: object, kinds: tuple) -> None:
     """Raise an error if the type of a value is not one of the given types."""
     types = tuple(toml_type for kind in kinds for toml_type in KINDS[kind][1])
+    # in Python, True and False are also integers
     valid = bool in kinds if isinstance(value, bool) else isinstance(value, types)
     valid |= u.Quantity in kinds and isinstance(value, list | dict)
     if not valid and object not in kinds:

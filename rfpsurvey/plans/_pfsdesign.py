@@ -192,6 +192,7 @@ def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict
     row = order[np.searchsorted(fiber[order], rows["fiberId"])]
     sort = np.argsort(row, kind="stable")
     size = np.bincount(row, minlength=len(fiber))
+    # the number of each row among the rows of its fiber
     place = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
     columns, shape = {}, (len(fiber), max(int(size.max(initial=0)), 1))
     for name in FLUXES:

@@ -346,7 +346,7 @@ def _allocator_values(given: object) -> dict | None:
     if joint is not None:
         names = [name for name in _named(joint) if name not in ("allocator", "inform")]
         values |= {"options.allocator": JOINT, **{f"joint.{name}": _text_of(getattr(joint, name)) for name in names}}
-    try:
+    try:  # the values determine the allocator if the same options follow from them
         keys = build(SurveyKeys, values)
         again = as_joint(allocator_of(keys.options, keys.joint), "color")
     except InputError:

@@ -19,6 +19,7 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     when = None if request.conditions is None else when_of(request.tiling.table)
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     sizes = [len(tiles) for tiles in request.rounds]
+    # the argsort of a permutation is its inverse, here from rows to places in the order of planning
     table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
     lacking = {name: values for name, values in counts.items() if isinstance(name, CountOfRule)}
     counts = {name: values for name, values in counts.items() if name not in lacking}

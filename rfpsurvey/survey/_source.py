@@ -107,6 +107,7 @@ class Partitioned:
             first, last = self._first[k : k + 2]
             kept = None if always is None else always[first:last]
             field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, always=kept, **more)
+            # a partition without targets of the field can contain targets that sky positions or constraints consider
             if len(field.row) or rest_rad is not None or around_rad is not None or not fields:
                 fields.append(field._replace(slot=field.row + first, row=field.row + first))
         if not fields:

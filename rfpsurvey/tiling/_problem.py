@@ -116,6 +116,7 @@ class TilingState:
     @property
     def unit(self) -> float:
         """Weight of a visit to a target whose priority is below the highest remaining priority."""
+        # all visits of lower priority together weigh less than one visit of the highest remaining priority
         return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_requested)
 
     @property
