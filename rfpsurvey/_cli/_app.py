@@ -52,15 +52,15 @@ def check_names(keys) -> None:
 def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"]) -> "rs.Instrument":
     """Return the instrument ``name`` or, if it is None, the instrument named in the table; ``read`` reads it."""
     provenance = table.meta.get("provenance")
-    own = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
-    if own is None and is_plan(table):
+    name_in_table = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
+    if name_in_table is None and is_plan(table):
         name = name or table.meta.get("instrument")
-    if not name and own is None:
+    if not name and name_in_table is None:
         known = ", ".join(rs.available_instruments())
         raise rs.InputError(f"--instrument must name the instrument of the assignment: {known}, or a TOML file")
-    instrument = read(name or own)
-    if own is not None and own != instrument.name:
-        raise rs.InputError(f"--instrument must be the instrument of the tile, {own}, got {instrument.name}")
+    instrument = read(name or name_in_table)
+    if name_in_table is not None and name_in_table != instrument.name:
+        raise rs.InputError(f"--instrument must be the instrument of the tile, {name_in_table}, got {instrument.name}")
     return instrument
 
 

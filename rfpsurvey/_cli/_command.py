@@ -50,7 +50,7 @@ class Command(_main.Command):
 
 def _possible_keys(keys: dict[str, Key | Part], names: list[str], value: str = "") -> list[str]:
     """Return the names of the keys whose values can be of the kind of the given value."""
-    found = []
+    possible = []
     for name in names:
         key = keys[name]
         if isinstance(key, Part):
@@ -63,8 +63,8 @@ def _possible_keys(keys: dict[str, Key | Part], names: list[str], value: str = "
                     continue
         except InputError:
             continue
-        found.append(f"{name}.NAME" if is_entry else name)
-    return found
+        possible.append(f"{name}.NAME" if is_entry else name)
+    return possible
 
 
 def command(
@@ -82,7 +82,7 @@ def command(
     calls the function with a second argument, `Given`.
     """
     keys = keys_of(cls)
-    spelled = dict(_spelled(one) for one in options.split())
+    spelled = dict(_spelled(spelling) for spelling in options.split())
     with_file = argument == "catalog.path"
 
     def decorate(function: Callable) -> Callable:
@@ -99,10 +99,10 @@ def command(
                 function(settings, *([given] if with_file else []))
 
         parameters = [] if argument is None else [_argument(keys[argument])]
-        parameters += [_option(keys[one], text) for one, text in spelled.items()]
+        parameters += [_option(keys[name], text) for name, text in spelled.items()]
         parameters += _further(Given(title, keys, {}), with_file=with_file)
         call.__signature__ = Signature(parameters)
-        call.__annotations__ = {one.name: one.annotation for one in parameters}
+        call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__name__, call.__doc__, call.keys = function.__name__, function.__doc__, keys
         (app or _main.app).command(title, cls=Command, epilog=epilog)(call)
         return function
@@ -137,22 +137,22 @@ def _read(given: Given, typed: dict, argument: str | None, spelled: dict[str, st
             continue
         if dict in key.kinds:
             value = pairs(value, option)
-        for one in value if isinstance(value, list) and dict not in key.kinds else [value]:
-            if isinstance(one, str):
-                inputs.add_text(keys, values, f"{name}={one}", earlier)
+        for entry in value if isinstance(value, list) and dict not in key.kinds else [value]:
+            if isinstance(entry, str):
+                inputs.add_text(keys, values, f"{name}={entry}", earlier)
             else:
-                add(keys, values, name, one)
+                add(keys, values, name, entry)
 
 
 def pairs(texts: list[str], option: str, form: str = "NAME=VALUE") -> dict[str, str]:
     """Convert options of the form NAME=VALUE to a dict."""
-    found = {}
+    values = {}
     for text in texts:
         name, sign, value = text.partition("=")
         if not (sign and name and value):
             raise InputError(f"{option} must have the form {form}, got {text!r}")
-        found[name] = value
-    return found
+        values[name] = value
+    return values
 
 
 def _write(given: Given, path: Path, *, overwrite: bool) -> None:
@@ -203,12 +203,12 @@ def _further(given: Given, *, with_file: bool) -> list[Parameter]:
         "Set a key, such as rng=1 or a key that has no option; --help-keys lists all keys. The value has the syntax of "
         "TOML; other values are text. The option may be repeated."
     )
-    found = [_parameter("set", list[str] | None, None, typer.Option("--set", metavar="KEY=VALUE", help=text))]
+    parameters = [_parameter("set", list[str] | None, None, typer.Option("--set", metavar="KEY=VALUE", help=text))]
     info = typer.Option(
         "--help-keys", help="List all keys with their help, and exit.", callback=print_keys, is_eager=True
     )
-    found.append(_parameter("help_keys", bool, False, info))
+    parameters.append(_parameter("help_keys", bool, False, info))
     if with_file:
         info = typer.Option(help="Write a plan file (.toml) with the values of all keys, and exit without planning.")
-        found.append(_parameter("write_plan", Path | None, None, info))
-    return found
+        parameters.append(_parameter("write_plan", Path | None, None, info))
+    return parameters

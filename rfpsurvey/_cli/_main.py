@@ -175,13 +175,14 @@ def _with_options(text: str, words: list[str]) -> str:
     """
     names = dict.fromkeys(word.partition("=")[0] for word in words)
     typed = {name[2:].replace("-", "_"): name for name in names if name.startswith("--")}
-    typed |= {other: typed[name] for other, name in INNER.items() if name in typed}
+    typed |= {inner: typed[name] for inner, name in INNER.items() if name in typed}
     typed |= {name.rpartition(".")[2]: name for name in names if re.fullmatch(r"[a-z_]+(\.[a-z_]+)+", name)}
 
     def option(match: re.Match) -> str:
         return match[0] if match[0] in names else typed.get(match[0].rpartition(".")[2], match[0])
 
     text = re.sub(r"[a-z_]+=\S* \(or (--[^)]+)\)", r"\1", text)
+    # a name before "must" is a parameter; elsewhere, only names with an underscore (and rng) differ from words
     text = re.sub(r"^[a-z_.]+(?= (must|has no effect) )", option, text)
     return re.sub(r"(?<![\w'=.-])(rng|[a-z]+(_[a-z]+)+)(?![\w'=(])", option, text)
 

@@ -58,18 +58,18 @@ def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterat
     ``quality`` return the figures of the files ``plot`` and ``quality``. ``report`` contains the result and the options
     of `write_report`.
     """
-    calls = {} if write is None else {"path": lambda own, _: write(own)}
+    calls = {} if write is None else {"path": lambda file, _: write(file)}
     for name, figure in (("plot", draw), ("quality", quality)):
-        calls[name] = lambda own, path, figure=figure: figure().savefig(own, dpi=200, format=path.suffix[1:].lower())
-    calls["report"] = lambda own, _: rs.write_report(report[0], own, **report[1])
+        calls[name] = lambda file, path, figure=figure: figure().savefig(file, dpi=200, format=path.suffix[1:].lower())
+    calls["report"] = lambda file, _: rs.write_report(report[0], file, **report[1])
     writers = [(path, call) for name, call in calls.items() if (path := getattr(output, name, None)) is not None]
     with ExitStack() as stack:  # all files are renamed when all of them are complete
         for path, call in writers:
-            own = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
+            file = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
             try:
-                call(own, path)
+                call(file, path)
             except rs.InputError as error:
-                raise type(error)(str(error).replace(str(own), str(path))) from error
+                raise type(error)(str(error).replace(str(file), str(path))) from error
     yield
     for path, _ in writers:
         print(f"wrote {path}")
@@ -208,11 +208,11 @@ def _print_rules(tile: "rs.Tile") -> None:
     if tile.rules is None:
         return
     print("constraint, number, limit, verdict, and positioners that violate it:")
-    for one in rules_of_tile(tile.rules):
-        number = [] if np.isnan(one["number"]) else [f"{one['number']:.6g} ({one['limit']})"]
-        fibers = [f"positioners {brief(tuple(one['fibers'].split()))}"] if one["fibers"] else []
-        words = "; ".join([*number, *filter(None, [one["note"]]), *fibers])
-        print_text(f"{one['verdict']:<14}{one['rule']}: {words}", " " * 16)
+    for verdict in rules_of_tile(tile.rules):
+        number = [] if np.isnan(verdict["number"]) else [f"{verdict['number']:.6g} ({verdict['limit']})"]
+        fibers = [f"positioners {brief(tuple(verdict['fibers'].split()))}"] if verdict["fibers"] else []
+        words = "; ".join([*number, *filter(None, [verdict["note"]]), *fibers])
+        print_text(f"{verdict['verdict']:<14}{verdict['rule']}: {words}", " " * 16)
 
 
 def print_table(table) -> None:

@@ -80,7 +80,7 @@ def compare(keys: CompareKeys) -> None:
     if state.arm_model or state.margins:
         names = names or rs.available_instruments()
     named = [inputs.InstrumentKeys(**vars(state), name=name) for name in names]
-    models = [_app.model_of(one, lambda: inputs.time_of(None, keys.epoch)) for one in named]
+    models = [_app.model_of(instrument_keys, lambda: inputs.time_of(None, keys.epoch)) for instrument_keys in named]
     if keys.catalog.path is None:
         inputs.warn_without_catalog(keys.catalog)
     with _surveys.workers(keys) as executor:

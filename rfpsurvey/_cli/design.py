@@ -199,7 +199,7 @@ def finish(table, output) -> None:
         if "instrument" in table.colnames:
             _print_improvements(table)
         try:
-            found = rs.design.design_sensitivities(table)
+            sensitivities = rs.design.design_sensitivities(table)
         except rs.InputError as error:  # there are too few designs
             print_text(f"no sensitivities: {error}")
         else:
@@ -208,7 +208,7 @@ def finish(table, output) -> None:
                 "that a parameter explains; slope is the change of this result in percent if the parameter grows by "
                 "one percent:"
             )
-            print("\n".join(found.pformat(max_lines=-1, max_width=-1)))
+            print("\n".join(sensitivities.pformat(max_lines=-1, max_width=-1)))
         if output.path is not None:
             print(f"wrote {output.path}")
 
@@ -218,8 +218,8 @@ def _print_rows(front, table) -> None:
     columns = [*COLUMNS, *table.meta["objectives"]]
     if "instrument" in table.colnames:
         columns = ["instrument", *columns]
-        own = table[(table["instrument"] != "") & ~table["pareto"]]
-        front = vstack([front, own], metadata_conflicts="silent") if len(own) else front
+        missing = table[(table["instrument"] != "") & ~table["pareto"]]
+        front = vstack([front, missing], metadata_conflicts="silent") if len(missing) else front
     front = front[list(dict.fromkeys(columns))]
     for name in front.colnames:
         if front[name].dtype.kind == "f":
@@ -239,19 +239,19 @@ def _format(column) -> None:
 
 def _print_improvements(table) -> None:
     """Print a comparison of the best designs of a scan with the instrument around which the designs vary."""
-    own, objectives = table[table["instrument"] != ""][0], table.meta["objectives"]
-    print(f"{own['instrument']}: {', '.join(f'{_words(name)} {own[name]:.5g}' for name in AXES)}")
+    start, objectives = table[table["instrument"] != ""][0], table.meta["objectives"]
+    print(f"{start['instrument']}: {', '.join(f'{_words(name)} {start[name]:.5g}' for name in AXES)}")
     try:
-        found = rs.design.design_improvements(table)
+        improvements = rs.design.design_improvements(table)
     except rs.InputError as error:
         print_text(f"  no comparison: {error}", "    ")
         return
-    print("  " + ", ".join(f"{_words(row['objective'])} {row['value']:.5g}" for row in found))
-    for row, other in zip(found, reversed(list(objectives)), strict=True):
+    print("  " + ", ".join(f"{_words(row['objective'])} {row['value']:.5g}" for row in improvements))
+    for row, bounded in zip(improvements, reversed(list(objectives)), strict=True):
         aim = "largest" if objectives[row["objective"]] == "max" else "smallest"
-        limit = "at least" if objectives[other] == "max" else "at most"
-        text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(other)}: "
-        changes = ", ".join(filter(None, (_change(name, own[name], row[name], table[name]) for name in AXES)))
+        limit = "at least" if objectives[bounded] == "max" else "at most"
+        text = f"  {aim} {_words(row['objective'])} with {limit} this {_words(bounded)}: "
+        changes = ", ".join(filter(None, (_change(name, start[name], row[name], table[name]) for name in AXES)))
         print_text(
             text
             + (f"{row['best']:.5g} ({row['change']:+.2g}) by {changes}" if changes else "the value of this instrument"),

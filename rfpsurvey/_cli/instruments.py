@@ -48,7 +48,7 @@ def instruments(keys: InstrumentsKeys) -> None:
     if not models:
         _print_list()
     elif len(models) == 1:
-        _print_one(models[0])
+        _print_instrument(models[0])
     else:
         _print_columns(models)
 
@@ -61,7 +61,7 @@ def _print_list() -> None:
         print_text(text, " " * 50)
 
 
-def _print_one(model: Instrument) -> None:
+def _print_instrument(model: Instrument) -> None:
     """Print the description of an instrument, quantities derived from its design, and the source of every value."""
     print_text(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")

@@ -87,14 +87,14 @@ def record(
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
     options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
-    found = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)
+    said = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)
     labels = {"n_events": "new events", "n_known": "already recorded", "n_ignored": "ignored (not observed)"}
-    print_facts({label: found[name] for name, label in labels.items()})
-    _print_changes(found["changes"])
+    print_facts({label: said[name] for name, label in labels.items()})
+    _print_changes(said["changes"])
     if dry_run:
         print("nothing was recorded (--dry-run)")
-    elif found["n_events"]:
-        print(f"{number_of(found['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")
+    elif said["n_events"]:
+        print(f"{number_of(said['n_events'], 'event')} recorded; to plan the rest: rfpsurvey survey {folder} --replan")
 
 
 def _print_changes(changes: dict[str, list[str]]) -> None:

@@ -91,9 +91,9 @@ def select(keys: SelectKeys, given: Given) -> None:
     survey = None if values is None else build(SurveyKeys, values)
     if survey is not None:  # the keys have the values of the survey, unless they are given
         values.pop("options.subpriority", None)  # each realization has its own subpriorities
-        place, shared = keys.catalog.path, {name: one for name, one in values.items() if name in given.keys}
-        own = {name: one for name, one in given.values.items() if name != "catalog.path"}
-        keys = build(SelectKeys, {name: one for name, one in shared.items() if not name.startswith("output.")} | own)
+        shared = {name: v for name, v in values.items() if name in given.keys and not name.startswith("output.")}
+        asked = {name: v for name, v in given.values.items() if name != "catalog.path"}
+        place, keys = keys.catalog.path, build(SelectKeys, shared | asked)
     output, folder = keys.output.path, keys.output.folder
     stored = folder and folder / "selection.fits"
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
@@ -114,17 +114,17 @@ def select(keys: SelectKeys, given: Given) -> None:
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")
     with _surveys.workers(keys) as executor:
-        found = rs.selection_probabilities(
+        selection = rs.selection_probabilities(
             targets, model, tiling, keys.n_realizations, executor=executor, progress=True, **options
         )
     seconds = perf_counter() - begin
     with _print.files(
         keys.output,
-        write=found.write,
-        draw=lambda: rs.plot.plot_selection(found).figure,
-        report=(found, {"data": output or stored}),
+        write=selection.write,
+        draw=lambda: rs.plot.plot_selection(selection).figure,
+        report=(selection, {"data": output or stored}),
     ):
-        _print_selection(found, found.provenance["parameters"]["allocator"], seconds)
+        _print_selection(selection, selection.provenance["parameters"]["allocator"], seconds)
         if stored is not None:
             print(f"wrote {stored}")
 
@@ -136,10 +136,10 @@ def _with_visits(targets, visits: int):
     return replace(targets, visits=np.full(len(targets), visits))
 
 
-def _print_selection(found: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
+def _print_selection(selection: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
     """Print the summary of selection probabilities, one value per line."""
-    s = found.summary
-    _print.print_model(found.provenance["instrument"]["name"], allocator, s, found.provenance["parameters"])
-    _print.print_facts(selection_facts(found))
+    s = selection.summary
+    _print.print_model(selection.provenance["instrument"]["name"], allocator, s, selection.provenance["parameters"])
+    _print.print_facts(selection_facts(selection))
     plans = s["n_tiles"] * s["n_realizations"]
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")

@@ -69,30 +69,30 @@ def status(
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
     survey, state = rs.Survey.read(folder), state_in(folder, tell=_print.print_text, until=until)
-    found = survey_status(survey, state)
+    progress = survey_status(survey, state)
     with _print.files(
         outputs,
         write=state.write,
-        draw=lambda: rs.plot.plot_survey_status(found)[0].figure,
-        report=(found, {}),
+        draw=lambda: rs.plot.plot_survey_status(progress)[0].figure,
+        report=(progress, {}),
     ):
-        _print.print_facts(status_facts(found), 24)
+        _print.print_facts(status_facts(progress), 24)
         print("tiles of each pass by state:")
-        _print.print_table(QTable(rows=found.meta["tiles"]))
-        if found.meta["areas"]:
+        _print.print_table(QTable(rows=progress.meta["tiles"]))
+        if progress.meta["areas"]:
             print("visits of each area on the sky (right ascension and declination in deg):")
-            areas = QTable(rows=found.meta["areas"])
+            areas = QTable(rows=progress.meta["areas"])
             areas.remove_columns(["n_targets", "n_complete", "n_failed", "n_left"])
             _print.print_table(areas)
-        if len(found) > 1:
+        if len(progress) > 1:
             print("visits of each class of targets:")
-            short = found.copy()
-            short.rename_columns(found.colnames, [name.removeprefix("n_") for name in found.colnames])
+            short = progress.copy()
+            short.rename_columns(progress.colnames, [name.removeprefix("n_") for name in progress.colnames])
             _print.print_table(short)
-        if found.meta["failures"]:
+        if progress.meta["failures"]:
             print("positioners whose visits failed in several tiles:")
-            _print.print_table(QTable(rows=found.meta["failures"][:MOST_FAILURES]))
-        if until is None and not found.meta["is_planned"]:
+            _print.print_table(QTable(rows=progress.meta["failures"][:MOST_FAILURES]))
+        if until is None and not progress.meta["is_planned"]:
             _print.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "
                 f"{folder} --replan"

@@ -148,7 +148,7 @@ def benchmark_collisions(
         *((m, n) for m in names if m != DEFAULT_METHOD for n in COMPARED[m].numbers_of_points or (2,)),
     ]
     cases = [_case(plane, random_tips(plane, rng)) for _ in range(n_configurations)]
-    found, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
+    results, times = _take_turns(runs, cases, repeats, seconds, rng, progress)
     truth = [_true_pairs(case) for case in cases]
     typical = {run: float(np.median(times[run])) for run in runs}
     rows = [
@@ -158,7 +158,7 @@ def benchmark_collisions(
             "device": COMPARED[m].device,
             "time": 1e3 * typical[m, n] * u.ms,
             "ratio": typical[m, n] / typical[runs[0]],
-            **_errors(truth, found[m, n]),
+            **_errors(truth, results[m, n]),
         }
         for m, n in runs
     ]
@@ -176,7 +176,7 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
     Times of the first round, in which functions are compiled, are omitted unless the method is slow.
     """
     times: dict[tuple[str, int], list[float]] = {run: [] for run in runs}
-    found = {}
+    results_of_runs = {}
     turns = range(repeats + 1)
     with Progress(progress, len(turns), "rounds") as bar:
         for turn in turns:
@@ -189,11 +189,11 @@ def _take_turns(runs, cases, repeats, seconds, rng, progress):
                     results.append(COMPARED[run[0]].function(case))
                     times[run].append(perf_counter() - start)
                 if turn == 0:
-                    found[run] = results
+                    results_of_runs[run] = results
                     # keep the time of the last call of a slow method, because the time limit may not allow another call
                     times[run] = times[run][-1:] if times[run][-1] > seconds / 4 else []
             bar(turn + 1)
-    return found, times
+    return results_of_runs, times
 
 
 def _true_pairs(case):
@@ -201,6 +201,7 @@ def _true_pairs(case):
     separation = case.plane.arrays.separation
     there = np.flatnonzero(np.isfinite(case.segments[0]))
     ends = case.segments[:, there]
+    # the midpoints of two colliding arms are at most the length of an arm plus the minimum separation apart
     longest = np.hypot(*(ends[2:] - ends[:2])).max(initial=0.0)
     tree = cKDTree(0.5 * (ends[:2] + ends[2:]).T)
     pairs = np.sort(there[tree.query_pairs(longest + 1.001 * separation, output_type="ndarray")], axis=1).tolist()
@@ -210,16 +211,16 @@ def _true_pairs(case):
     }
 
 
-def _errors(truth, found):
+def _errors(truth, results):
     """Return the numbers of missed and spurious pairs, and the errors of the distances of the pairs that were found."""
     n = missed = spurious = 0
     errors = []
-    for true, got in zip(truth, found, strict=True):
+    for true, got in zip(truth, results, strict=True):
         keys = zip(got.first.tolist(), got.second.tolist(), strict=True)
         distances = dict(zip(keys, got.distances.tolist(), strict=True))
-        both = true.keys() & distances.keys()
-        n, missed, spurious = n + len(true), missed + len(true) - len(both), spurious + len(distances) - len(both)
-        errors += [abs(distances[k] - true[k]) for k in both]
+        correct = true.keys() & distances.keys()
+        n, missed, spurious = n + len(true), missed + len(true) - len(correct), spurious + len(distances) - len(correct)
+        errors += [abs(distances[k] - true[k]) for k in correct]
     return {
         "n_colliding_true": n,
         "n_missed": missed,
@@ -242,7 +243,7 @@ def _check_methods(methods):
         raise InputError(f"methods must be a list of names, got {methods!r}")
     gone = {"shapely"} if find_spec("shapely") is None else set()
     if methods is None:
-        return [m for m, one in COMPARED.items() if m not in gone and (one.device == "CPU" or has_gpu())]
+        return [m for m, method in COMPARED.items() if m not in gone and (method.device == "CPU" or has_gpu())]
     names = list(dict.fromkeys(check_choice(m, COMPARED, "method") for m in methods))
     if gone & set(names):
         raise InputError("the method 'shapely' needs the package shapely, which is not installed")

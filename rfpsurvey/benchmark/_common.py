@@ -18,7 +18,8 @@ def random_tips(plane, rng):
     """
     inner, outer, n = plane.arrays.inner_radius, plane.arrays.outer_radius, len(plane)
     tips, wanting = np.full((n, 2), np.nan), np.ones(n, dtype=bool)
-    for _ in range(100):
+    for _ in range(100):  # targets that joint limits exclude are drawn again
+        # the area within a radius grows with its square; targets on an edge could be out of reach by rounding errors
         r = np.clip(np.sqrt(rng.uniform(inner**2, outer**2)), inner * (1 + 1e-12), outer * (1 - 1e-12))
         alpha = rng.uniform(0, 2 * np.pi, n)
         drawn = plane.arrays.xy + r[:, None] * np.column_stack([np.cos(alpha), np.sin(alpha)])

@@ -77,7 +77,7 @@ def benchmark_probability(
     plane = as_focal_plane(instrument)
     if efforts is None:
         outlined = plane.positioner.outline is not None
-        efforts = {name: one.efforts for name, one in METHODS.items() if one.supports_outlines or not outlined}
+        efforts = {name: method.efforts for name, method in METHODS.items() if method.supports_outlines or not outlined}
     if not isinstance(efforts, Mapping) or not efforts:
         raise InputError(f"efforts must map methods to lists of numbers, got {efforts!r}")
     estimands = {method: find_method(method, METHODS).estimand for method in efforts}
@@ -97,8 +97,8 @@ def benchmark_probability(
                 effort = Precision(max_iterations=n or None)
                 start = perf_counter()
                 with used_elsewhere():
-                    found = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
-                results[method, n] += [(perf_counter() - start, found.value, found.standard_error)] if turn else []
+                    e = collision_probability(instrument, method=method, precision=effort, rng=rng.spawn(1)[0])
+                results[method, n] += [(perf_counter() - start, e.value, e.standard_error)] if turn else []
             bar(turn + 1)
     rows = []
     for (method, n), values in results.items():
@@ -128,6 +128,7 @@ def _misses(values, true):
     squares = away**2
     error = float(np.sqrt(squares.mean()))
     scatter, spread = (x.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan for x in (values, squares))
+    # the error of the square root of the mean, to first order
     return {
         "bias": away.mean(),
         "bias_error": np.hypot(scatter, true.standard_error),
@@ -183,17 +184,17 @@ def benchmark_densities(
     check_whole(n_allocations, "n_allocations")
     rng = to_generator(rng)
     model = None if isinstance(instrument, FocalPlane) else as_instrument(instrument)
-    found = {"allocated": collision_probability(instrument, precision=precision, rng=rng)}
+    estimates = {"allocated": collision_probability(instrument, precision=precision, rng=rng)}
     for density in ("uniform", "shared", "voronoi"):
         options = {"method": "quadrature", "density": density, "precision": precision}
-        found[density] = collision_probability(plane, rng=rng, **options)
+        estimates[density] = collision_probability(plane, rng=rng, **options)
     source = make_source(plane, model)
     queues = [allocate(plane, source.draw(rng) * u.mm, allocator=QUEUEING, rng=rng) for _ in range(n_allocations)]
-    found["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
-    true = found["allocated"].value
+    estimates["empirical"] = collision_probability(plane, method="quadrature", density=queues, precision=precision)
+    true = estimates["allocated"].value
     rows = [
         (name, e.value, e.standard_error, e.value - true, e.value / true if true else np.nan)
-        for name, e in found.items()
+        for name, e in estimates.items()
     ]
     table = QTable(rows=rows, names=("density", "value", "standard_error", "bias", "factor"))
     table.meta.update(provenance(instrument, plane), n_allocations=n_allocations)

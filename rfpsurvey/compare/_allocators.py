@@ -133,8 +133,8 @@ def compare_allocators(
     rows = [_row(method.name, tiles[method], blind) for method in methods]
     table = QTable({key: [row[key] for row in rows] for key in rows[0]})
     provenance = tiles[methods[0]].provenance
-    software = {name: value for one in methods for name, value in tiles[one].provenance["software"].items()}
-    recorded = [tiles[one].provenance["parameters"] for one in reversed(methods)]
+    software = {name: value for method in methods for name, value in tiles[method].provenance["software"].items()}
+    recorded = [tiles[method].provenance["parameters"] for method in reversed(methods)]
     parameters = {k: v for record in recorded for k, v in record.items() if k != "allocator"}
     asked = methods[0].record  # a tile records only the options that its allocator uses
     parameters.update((name, asked[name]) for name in ("objective", "time_limit_s", "start"))
@@ -228,10 +228,10 @@ def synthetic_fields(kind, models, center, each, density, number, rng) -> list[F
             expected = each * len(model.focal_plane) / _part_on_footprint(model, center)
             size = {"n_targets": round(expected) if kind == "uniform" else expected}
         # the seed depends on the name of the instrument, which thus has the same targets in each comparison
-        own = np.random.default_rng([seed, crc32(model.name.encode())])
-        for one in own.spawn(int(number)):
-            sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=one)
-            fields.append(Field(model, sky, center, int(one.integers(2**31))))
+        rng_of_instrument = np.random.default_rng([seed, crc32(model.name.encode())])
+        for rng_of_field in rng_of_instrument.spawn(int(number)):
+            sky = synthetic_catalog(kind, center, model.field_radius, **size, rng=rng_of_field)
+            fields.append(Field(model, sky, center, int(rng_of_field.integers(2**31))))
     return fields
 
 
@@ -252,7 +252,7 @@ def catalog_fields(catalog: Catalog, models, center, rng) -> list[Field]:
         raise refusal("center must be a SkyCoord with one direction or a list of directions", center, SkyCoord)
     centers = centers.reshape(-1)
     seeds = to_generator(rng).integers(2**31, size=len(centers)).tolist()
-    return [Field(m, catalog, one, seed) for m in models for one, seed in zip(centers, seeds, strict=True)]
+    return [Field(m, catalog, direction, seed) for m in models for direction, seed in zip(centers, seeds, strict=True)]
 
 
 def plan_fields(
@@ -269,15 +269,15 @@ def _for_instruments(allocators, fields: list[Field]) -> dict[str, list[Allocati
     models = {field.instrument.name: field.instrument for field in fields}
     with warnings.catch_warnings(record=True) as told:
         warnings.simplefilter("always", RfpsurveyWarning)
-        found = {name: [one.for_instrument(model) for one in allocators] for name, model in models.items()}
-    for text in dict.fromkeys(str(one.message) for one in told):
+        options_of = {name: [options.for_instrument(model) for options in allocators] for name, model in models.items()}
+    for text in dict.fromkeys(str(warning.message) for warning in told):
         warn(text)
-    return found
+    return options_of
 
 
 def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: dict) -> list[Plan]:
     """Plan a field with each allocator, and return one `Plan` per allocator."""
-    found = []
+    plans = []
     for options in allocators:
         if options.name in METHODS:
             _compile(options.name, options.start)
@@ -288,8 +288,8 @@ def plan_field(field: Field, allocators: Sequence[AllocationOptions], others: di
                 )
         except InputError as error:
             raise InputError(f"{field.instrument.name}: {error}") from None
-        found.append(plan_of(tile))
-    return found
+        plans.append(plan_of(tile))
+    return plans
 
 
 def plan_of(tile: Tile) -> Plan:

@@ -208,13 +208,14 @@ def compare_instruments(
     plans = plan_fields(fields, methods, others, executor, progress)
     rows = []
     for model, known in zip(models, facts, strict=True):
-        blind, *own = zip(
+        blind, *plans_of_methods = zip(
             *(plan for field, plan in zip(fields, plans, strict=True) if field.instrument is model), strict=True
         )
-        rows += [{**known, **_gains(model, *both, blind)} for both in zip(methods, own, strict=True)]
+        for method, plans_of_method in zip(methods, plans_of_methods, strict=True):
+            rows.append({**known, **_gains(model, method, plans_of_method, blind)})
         log.info("compared %s: %d fields", model.name, len(blind))
     table = QTable({key: [row[key] for row in rows] for key in rows[0]}, units=UNITS)
-    shared = {name: value for one in methods for name, value in one.record.items() if name != "allocator"}
+    shared = {name: value for method in methods for name, value in method.record.items() if name != "allocator"}
     software = versions() | {name: value for method in methods for name, value in packages(method).items()}
     table.meta.update(
         made_by="compare_instruments",
@@ -245,7 +246,7 @@ def _models(instruments) -> list[Instrument]:
     """Return the instruments; raise an error if two instruments have the same name."""
     given = every_instrument().values() if instruments is None else instruments
     given = items_of(given, "instruments must be a list of instruments", str, Instrument)
-    models = [as_instrument(one) for one in given]
+    models = [as_instrument(instrument) for instrument in given]
     if not models:
         raise InputError("instruments must contain at least one instrument, got none")
     names = [model.name for model in models]
@@ -274,14 +275,15 @@ def _describe(model: Instrument) -> dict:
     }
 
 
-def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan], blind: Sequence[Plan]) -> dict:
+def _gains(model: Instrument, allocator: AllocationOptions, plans: Sequence[Plan], blind: Sequence[Plan]) -> dict:
     """Return the columns that describe the plans of an allocator, averaged over the fields of an instrument."""
-    n, most = len(own), sum(plan.n_science for plan in blind)
+    n, most = len(plans), sum(plan.n_science for plan in blind)
     targets, science, usable, pairs = (
-        sum(getattr(plan, name) for plan in own) for name in ("n_targets", "n_science", "n_usable", "n_pairs")
+        sum(getattr(plan, name) for plan in plans) for name in ("n_targets", "n_science", "n_usable", "n_pairs")
     )
-    probabilities = [plan.probability for plan in own]
+    probabilities = [plan.probability for plan in plans]
     value, low, high = rate_interval(model.focal_plane, probabilities, CONFIDENCE)
+    # without collisions by construction, not by chance
     if value == 0 and allocator.method.avoids_collisions:
         high = 0.0
     counted = np.count_nonzero(~np.isnan(probabilities))
@@ -301,6 +303,6 @@ def _gains(model: Instrument, allocator: AllocationOptions, own: Sequence[Plan],
         "usable_per_area": usable / n / model.focal_plane.footprint.to_value(u.mm**2),
         "usable_per_solid_angle": usable / n / (4 * np.pi * u.sr.to(u.deg**2) * np.sin(half) ** 2),
         "loss": 1 - usable / most if most else np.nan,
-        "gap": float(np.max([plan.gap for plan in own])),
-        "seconds": float(np.median([plan.seconds for plan in own])),
+        "gap": float(np.max([plan.gap for plan in plans])),
+        "seconds": float(np.median([plan.seconds for plan in plans])),
     }

@@ -54,22 +54,23 @@ def start_of(model: Instrument) -> Start:
             f"the designs are infinite lattices without the gaps between the modules of {model.name}: all values refer "
             f"to the lattice inside a module; positioners of {model.name} reach {reach:.3f} of its focal plane"
         )
-    own = model.focal_plane.positioner.arm_model
+    arm_model = model.focal_plane.positioner.arm_model
     if "elbow_to_tip" in model.arm_models:
         model = model.with_arm_model("elbow_to_tip")
-    elif own == "outline":
+    elif arm_model == "outline":
         raise InputError(
             f"{model.name} must have the entry positioner.segment_clearance, because a scan of designs replaces the "
             "outline of the arms by a segment with this clearance, got no such entry"
         )
     facts = {name: float(value.to_value(u.mm)) for name, value in arm_facts(model).items()}
     unit = model.focal_plane.positioner
-    if own != "elbow_to_tip":
+    if arm_model != "elbow_to_tip":
         warn(
             f"the scan uses the arm model 'elbow_to_tip' with a clearance of {unit.numbers.clearance:g} mm instead of "
-            f"the arm model {own!r} of {model.name}"
+            f"the arm model {arm_model!r} of {model.name}"
         )
     central_arm, eccentric_arm, clearance = facts["central_arm"], facts["eccentric_arm"], unit.numbers.clearance
+    # the minimum separation is 2 c + (l1 + l2) sin(2 step), from which the step follows
     moved = (facts["min_separation"] - 2 * clearance) / (central_arm + eccentric_arm)
     if not moved < 1:
         raise InputError(
@@ -143,11 +144,11 @@ def explore_around(
     parameters = signature(explore_designs).parameters
     for name in others:
         check_choice(name, parameters, "parameter of explore_designs")
-    usual = {name: one.default for name, one in parameters.items() if name not in AXES}
+    usual = {name: parameter.default for name, parameter in parameters.items() if name not in AXES}
     start = start_of(as_instrument(instrument))
-    own = dict(zip(AXES, start.design.tolist(), strict=True))
+    design = dict(zip(AXES, start.design.tolist(), strict=True))
     factors = _factors(spread, n_nodes, n_designs)
-    values = {name: own[name] * (factors if name in VARIED else 1.0) for name in AXES}
+    values = {name: design[name] * (factors if name in VARIED else 1.0) for name in AXES}
     values = {name: value if name == "ratio" else value * u.mm for name, value in values.items()}
     values |= {name: others.pop(name) for name in AXES if name in others}
     return scan(to_axes(**values), start, **{**usual, "n_designs": n_designs, "step": start.step * u.rad, **others})
@@ -196,7 +197,7 @@ def design_improvements(table: QTable) -> QTable:
     objectives = table.meta["objectives"]
     plain = {name: to_plain(table[name]) for name in objectives}
     gain = {name: -plain[name] if aim == "min" else plain[name] for name, aim in objectives.items()}
-    row, found = rows[0], []
+    row, rows_of_objectives = rows[0], []
     if not all(np.isfinite(values[row]) for values in gain.values()):
         raise InputError(
             f"{table['instrument'][row]} has no values of {' and '.join(objectives)}: {table['reason'][row]}"
@@ -205,7 +206,7 @@ def design_improvements(table: QTable) -> QTable:
         known = np.isfinite(gain[name]) & (gain[other] >= gain[other][row])
         best = max(np.flatnonzero(known), key=lambda k: (gain[name][k], gain[other][k], k == row))
         best = best if gain[name][best] > gain[name][row] else row
-        found.append(
+        rows_of_objectives.append(
             {
                 "objective": name,
                 "value": plain[name][row],
@@ -215,7 +216,7 @@ def design_improvements(table: QTable) -> QTable:
                 **{axis: table[axis][best] for axis in AXES},
             }
         )
-    improvements = QTable(rows=found)
+    improvements = QTable(rows=rows_of_objectives)
     set_formats(improvements)
     return improvements
 

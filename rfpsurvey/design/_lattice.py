@@ -77,6 +77,7 @@ class Lattice:
             edges += [centers[:, 1] - half, centers[:, 1] + half]
             steps += [np.full(half.shape, sign), np.full(half.shape, -sign)]
         edges = np.clip(np.concatenate(edges, axis=1), 0.0, top[:, None])
+        # along each line, the number of positioners in reach changes by 1 at each edge of a patrol area
         order = np.argsort(edges, axis=1)
         depth = np.cumsum(np.take_along_axis(np.concatenate(steps, axis=1), order, axis=1), axis=1)
         edges = np.take_along_axis(edges, order, axis=1)

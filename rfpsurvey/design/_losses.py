@@ -116,12 +116,12 @@ METHODS = table_of(
     LossMethod("repair", repair, _SEARCH, estimand="collision_free"),
 )
 """Methods by name: functions that return the loss of a design with given random targets."""
-ESTIMANDS = tuple(dict.fromkeys(one.estimand for one in METHODS.values()))
+ESTIMANDS = tuple(dict.fromkeys(method.estimand for method in METHODS.values()))
 
 
 def automatic(estimand: str) -> list[LossMethod]:
     """Return the methods from which `cheapest` selects; the fastest method is the first."""
-    return [one for one in METHODS.values() if one.automatic and one.estimand == estimand]
+    return [method for method in METHODS.values() if method.automatic and method.estimand == estimand]
 
 
 def cheapest(estimand: str, lattice: Lattice) -> str:
@@ -130,7 +130,7 @@ def cheapest(estimand: str, lattice: Lattice) -> str:
     def sure():
         return in_box(lattice) and (lattice.collision_type == 1 or surrogate(lattice).loss >= SURE)
 
-    return next(one.name for one in automatic(estimand) if not one.limited or sure())
+    return next(method.name for method in automatic(estimand) if not method.limited or sure())
 
 
 def in_box(lattice: Lattice) -> bool:
@@ -145,11 +145,11 @@ def _compare(lattice, skies, method):
     def look(points, plane, core):
         options = {name: AllocationOptions(name, time_limit=limit) for name in (name_of_best(), method)}
         with used_elsewhere():  # some allocators have no time limit
-            plans = [allocate(plane, points, allocator=one) for one in options.values()]
-        blind, found = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans)
-        proves = [one.method.searches for one in options.values()]
+            plans = [allocate(plane, points, allocator=options_of_plan) for options_of_plan in options.values()]
+        blind, collision_free = (int((plan.target_of_positioner[core] >= 0).sum()) for plan in plans)
+        proves = [options_of_plan.method.searches for options_of_plan in options.values()]
         unproven = any(plan.gap > 0 for plan, proven in zip(plans, proves, strict=True) if proven)
-        return blind, blind - found, unproven, _gap(*plans) if all(proves) else np.nan
+        return blind, blind - collision_free, unproven, _gap(*plans) if all(proves) else np.nan
 
     return _over_skies(lattice, skies, look, whole=True)
 
@@ -173,15 +173,16 @@ def _over_skies(lattice, skies, look, *, whole=False):
     """
     plane, source = _patch(lattice, skies.each)
     core = np.hypot(*plane.arrays.xy.T) <= (CORE + 0.01) * lattice.pitch
-    found = []
+    counts = []
     for _ in range(skies.number):
         points = source.draw(skies.rng)
-        found.append(look(points * u.mm, plane, core) if len(points) else (0, 0, 0, 0))
-    assigned, lost, unproven, gaps = np.array(found, dtype=float).T
+        counts.append(look(points * u.mm, plane, core) if len(points) else (0, 0, 0, 0))
+    assigned, lost, unproven, gaps = np.array(counts, dtype=float).T
     total, n = assigned.sum(), skies.number
     if total == 0:
         return Loss(0.0, np.nan, np.nan)
     loss = max(lost.sum() / total, 0.0)  # the plan that ignores collisions can have fewer fibers in the center
+    # standard error of a ratio of two sums over realizations, to first order
     error = np.sqrt(n / (n - 1) * ((lost - loss * assigned) ** 2).sum()) / total
     if lattice.collision_type > 1 and (whole or loss == 0):
         error = max(error, 1 / total)

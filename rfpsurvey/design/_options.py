@@ -71,10 +71,10 @@ class LossOptions(Settings):
         """The estimand (definition of the loss), and the method that computes the loss."""
         if self.method == "auto":
             return self.estimand or "independent", self.method
-        own = METHODS[self.method].estimand
-        if self.estimand not in (None, own):
-            raise InputError(f"the estimand must be {own!r} for the method {self.method!r}, got {self.estimand!r}")
-        return own, self.method
+        estimand = METHODS[self.method].estimand
+        if self.estimand not in (None, estimand):
+            raise InputError(f"the estimand must be {estimand!r} for the method {self.method!r}, got {self.estimand!r}")
+        return estimand, self.method
 
     def warn_of_unused(self, also: Sequence[str] = ()) -> None:
         """Issue a warning for each given option that the method does not use.

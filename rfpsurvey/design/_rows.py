@@ -125,11 +125,11 @@ def to_rows(table: QTable) -> np.ndarray:
 
 def digest_of(rows: np.ndarray) -> str:
     """Return a digest of records, which does not depend on the representation of NaN."""
-    found = hashlib.sha256()
+    digest = hashlib.sha256()
     for name in ROW.names:
         values = rows[name]
-        found.update(np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values.copy())
-    return found.hexdigest()
+        digest.update(np.where(np.isnan(values), np.nan, values) if values.dtype.kind == "f" else values.copy())
+    return digest.hexdigest()
 
 
 OBJECTIVES = {"coverage": "max", "loss": "min"}

@@ -91,9 +91,9 @@ def design_sensitivities(
         shares = _shares(y, blocks)
         slopes = _slopes(y, axes)
         rows += [(figure, name, shares[name], slopes.get(name, np.nan)) for name in [*axes, "rest"]]
-    found = QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
-    set_formats(found)
-    return found
+    sensitivities = QTable(rows=rows, names=("figure", "parameter", "share", "slope"))
+    set_formats(sensitivities)
+    return sensitivities
 
 
 def _polynomials(x):

@@ -52,10 +52,10 @@ class Task:
         if METHODS[method].limited and not in_box(lattice):
             row["reason"] = f"the parameters are outside the range of the method {method!r}"
             return
-        found = METHODS[method].function(lattice, Skies(each, self.n_skies, rng, self.time_limit))
+        loss = METHODS[method].function(lattice, Skies(each, self.n_skies, rng, self.time_limit))
         row["method"] = method
-        row["assigned"], row["loss"], row["loss_error"], row["n_unproven"], row["loss_gap"] = found
-        row["usable"] = found.assigned * (1 - found.loss)
+        row["assigned"], row["loss"], row["loss_error"], row["n_unproven"], row["loss_gap"] = loss
+        row["usable"] = loss.assigned * (1 - loss.loss)
         row["usable_per_area"] = row["usable"] * row["positioners_per_area"]
-        if np.isnan(found.loss):
+        if np.isnan(loss.loss):
             row["reason"] = "no fiber has a target"

@@ -16,7 +16,7 @@ from rfpsurvey.focal_plane import Margins
 from rfpsurvey.inputs._keys import Located, Part
 from rfpsurvey.observing import ObservingConditions
 
-AVOIDING = listed(name for name, one in METHODS.items() if one.avoids_collisions)
+AVOIDING = listed(name for name, method in METHODS.items() if method.avoids_collisions)
 Text = str | int | float
 Moment = str | float | Time | None
 
@@ -24,20 +24,20 @@ Moment = str | float | Time | None
 def margins_of_text(text: str) -> dict:
     """Return the keys of margins for a text such as ``instrument,broken=0.3``, ``outer=0.2`` or ``off``."""
     first, *rest = parts = [part.strip() for part in text.split(",")]
-    found: dict[str, float | bool] = {"published": first == "instrument"} if first in ("off", "instrument") else {}
-    for part in rest if found else parts:
+    values: dict[str, float | bool] = {"published": first == "instrument"} if first in ("off", "instrument") else {}
+    for part in rest if values else parts:
         name, _, value = part.partition("=")
         try:
             number = parse_number(value)
         except ValueError:
             number = None
-        if number is None or name in found or first == "off":
+        if number is None or name in values or first == "off":
             raise InputError(
                 "margins must be off, instrument, or NAME=VALUE with different names, separated by commas, such as "
                 f"outer=0.2,inner=0.1 (lengths in mm), got {text!r}"
             )
-        found[name] = number
-    return found
+        values[name] = number
+    return values
 
 
 @dataclass(frozen=True)

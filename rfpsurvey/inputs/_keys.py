@@ -70,17 +70,17 @@ class Key:
     @cached_property
     def kinds(self) -> dict:
         """The types of the key that values in TOML can have, with the arguments of types such as ``list[int]``."""
-        found = {list if kind in (tuple, np.ndarray) else kind: inside for kind, inside in self.field.kinds.items()}
-        return {kind: found[kind] for kind in KINDS if kind in found}
+        insides = {list if kind in (tuple, np.ndarray) else kind: inside for kind, inside in self.field.kinds.items()}
+        return {kind: insides[kind] for kind in KINDS if kind in insides}
 
     def inside(self, kind: type) -> tuple:
         """Return the types of the values inside a list or a table, which are the value of this key."""
-        return tuple(one for hint in self.kinds.get(kind, ())[-1:] for one in members_of(hint) if one in KINDS)
+        return tuple(member for hint in self.kinds.get(kind, ())[-1:] for member in members_of(hint) if member in KINDS)
 
     def texts_only(self, *, entry: bool) -> bool:
         """Return whether a single value, or the value of an ``entry`` of a table, must be text."""
         kinds = self.inside(dict) if entry else (*self.kinds, *self.inside(list))
-        return {one for one in kinds if one not in (list, dict)} <= {str, Path, os.PathLike, Region}
+        return {kind for kind in kinds if kind not in (list, dict)} <= {str, Path, os.PathLike, Region}
 
     @property
     def unit(self) -> u.UnitBase | None:
@@ -118,58 +118,58 @@ def keys_of(cls: type, prefix: str = "", omit: tuple[str, ...] = (), *, brief: b
 
     If ``brief``, the help of a key contains only the first sentence of the documentation of its parameter.
     """
-    found: dict[str, Key | Part] = {}
+    keys: dict[str, Key | Part] = {}
     texts = help_texts(cls)
-    for one in options_of(cls):
-        name, extra = prefix + one.name, extra_of(one.hint)
+    for option_field in options_of(cls):
+        name, extra = prefix + option_field.name, extra_of(option_field.hint)
         part = next((x for x in extra if isinstance(x, Part)), None)
         if part is not None:
             more = {} if part.more is None else keys_of(part.more, f"{name}.")
-            found |= {name: part} | keys_of(part.cls, f"{name}.", part.omit, brief=True) | more
-        elif is_dataclass(one.hint):
-            found |= keys_of(one.hint, f"{name}.")
-        elif one.name not in omit:
-            text = texts.get(one.name) or next((x for x in extra if isinstance(x, str)), "")
+            keys |= {name: part} | keys_of(part.cls, f"{name}.", part.omit, brief=True) | more
+        elif is_dataclass(option_field.hint):
+            keys |= keys_of(option_field.hint, f"{name}.")
+        elif option_field.name not in omit:
+            text = texts.get(option_field.name) or next((x for x in extra if isinstance(x, str)), "")
             text = re.split(r"(?<=\.)\s+(?=[A-Z`])", text)[0] if brief else text
-            key = Key(name, one, text)
-            found |= {name: key} if key.kinds else {}
-    return found
+            key = Key(name, option_field, text)
+            keys |= {name: key} if key.kinds else {}
+    return keys
 
 
 def find(keys: dict[str, Key | Part], name: str) -> tuple[Key | Part, str]:
     """Return the key of a name, and the rest of the name if it is the name of an entry of a table, such as a column."""
     if name in keys:
         return keys[name], ""
-    head, _, rest = name.partition(".")
-    while rest:
+    head, _, entry = name.partition(".")
+    while entry:
         key = keys.get(head)
         if isinstance(key, Key) and dict in key.kinds:
-            return key, rest
-        more, _, rest = rest.partition(".")
+            return key, entry
+        more, _, entry = entry.partition(".")
         head = f"{head}.{more}"
-    inside = next((one for one in keys if one.startswith(f"{name}.")), None)
+    inside = next((key_name for key_name in keys if key_name.startswith(f"{name}.")), None)
     if inside is not None:
         raise InputError(f"{name} must be a table, whose keys are set one by one, such as {inside}")
-    last = {one.rpartition(".")[2]: one for one in reversed(keys)}
-    known = {*keys, *(one.rpartition(".")[0] for one in keys if "." in one)}
+    last = {key_name.rpartition(".")[2]: key_name for key_name in reversed(keys)}
+    known = {*keys, *(key_name.rpartition(".")[0] for key_name in keys if "." in key_name)}
     hint = close_to(last.get(name.rpartition(".")[2], name), known)
     raise InputError(f"unknown key {name!r}; {hint or '--help-keys lists all keys'}")
 
 
 def add(keys: dict[str, Key | Part], values: dict, name: str, value: object, base: Path | None = None) -> None:
     """Add the value of a key, or the values of a table, to ``values``; paths are relative to the folder ``base``."""
-    is_table = isinstance(value, dict) and any(one.startswith(f"{name}." if name else "") for one in keys)
+    is_table = isinstance(value, dict) and any(key_name.startswith(f"{name}." if name else "") for key_name in keys)
     if name in keys or not is_table:
-        key, rest = find(keys, name)
+        key, entry_name = find(keys, name)
         if isinstance(key, Key):
-            _add_one(key, values, {rest: value} if rest else value, base)
+            _add_one(key, values, {entry_name: value} if entry_name else value, base)
             return
         if isinstance(value, str) and key.from_text is not None:
             value = key.from_text(value)
         if not isinstance(value, dict):
             raise InputTypeError(f"{name} must be a table{' or text' * bool(key.from_text)}, got {short(value)}")
-    for one, entry in value.items():
-        add(keys, values, f"{name}.{one}" if name else one, entry, base)
+    for entry_name, entry in value.items():
+        add(keys, values, f"{name}.{entry_name}" if name else entry_name, entry, base)
 
 
 def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
@@ -180,11 +180,11 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
     _check(key, value, tuple(key.kinds))
     for kind in (list, dict):
         if isinstance(value, kind) and (inside := key.inside(kind)):
-            for one in value.values() if kind is dict else value:
-                _check(key, one, inside)
-    for one in value if isinstance(value, list) else [value]:
-        if isinstance(one, str) and not one.strip():
-            raise InputError(f"{key.name} must be {key.words}, got {one!r}; leave it out to use the default value")
+            for entry in value.values() if kind is dict else value:
+                _check(key, entry, inside)
+    for entry in value if isinstance(value, list) else [value]:
+        if isinstance(entry, str) and not entry.strip():
+            raise InputError(f"{key.name} must be {key.words}, got {entry!r}; leave it out to use the default value")
     if key.is_path and isinstance(value, str) and base is not None:
         value = located(value, base, always=not key.is_located)
     entries = values.get(key.name)
@@ -193,7 +193,8 @@ def _add_one(key: Key, values: dict, value: object, base: Path | None) -> None:
 
 def _check(key: Key, value: object, kinds: tuple) -> None:
     """Raise an error if the type of a value is not one of the given types."""
-    types = tuple(one for kind in kinds for one in KINDS[kind][1])
+    types = tuple(toml_type for kind in kinds for toml_type in KINDS[kind][1])
+    # in Python, True and False are also integers
     valid = bool in kinds if isinstance(value, bool) else isinstance(value, types)
     valid |= u.Quantity in kinds and isinstance(value, list | dict)
     if not valid and object not in kinds:
@@ -210,16 +211,16 @@ def located(text: str, base: Path, *, always: bool) -> str:
 def build(cls: type, values: dict, prefix: str = "") -> Any:
     """Return an object of a dataclass of keys with the given values; all other fields have their default values."""
     given, keys = {}, keys_of(cls, prefix)
-    for one in options_of(cls):
-        name = prefix + one.name
+    for option_field in options_of(cls):
+        name = prefix + option_field.name
         key = keys.get(name)
         if isinstance(key, Part):
             inside = {k: v for k, v in keys.items() if k.startswith(f"{name}.") and k in values}
-            given[one.name] = {k.removeprefix(f"{name}."): _convert(v, values[k]) for k, v in inside.items()}
-        elif is_dataclass(one.hint):
-            given[one.name] = build(one.hint, values, f"{name}.")
+            given[option_field.name] = {k.removeprefix(f"{name}."): _convert(v, values[k]) for k, v in inside.items()}
+        elif is_dataclass(option_field.hint):
+            given[option_field.name] = build(option_field.hint, values, f"{name}.")
         elif name in values:
-            given[one.name] = _convert(key, values[name])
+            given[option_field.name] = _convert(key, values[name])
     return cls(**given)
 
 
@@ -232,11 +233,11 @@ def _convert(key: Key, value: object) -> object:
     if isinstance(value, str) and Path in key.kinds:
         return Path(value)
     if isinstance(value, str) and Time in key.kinds and (match := EXACT_TIME.fullmatch(value)):
-        found = Time(float(match[3]), float(match[4]), format="jd", scale=match[2])
-        found.format = match[1]
-        return found
+        time = Time(float(match[3]), float(match[4]), format="jd", scale=match[2])
+        time.format = match[1]
+        return time
     if Region in key.kinds or Region in key.inside(list):
-        return [Region.parse(one) for one in value] if isinstance(value, list) else Region.parse(value)
+        return [Region.parse(text) for text in value] if isinstance(value, list) else Region.parse(value)
     return value
 
 
@@ -248,13 +249,13 @@ def time_text(time: Time) -> str:
 def _to_quantity(key: Key, value: object) -> object:
     """Convert numbers in the unit of a key, or text with a unit, to quantities; a list or a table contains several."""
     if isinstance(value, dict):
-        return {name: _to_quantity(key, one) for name, one in value.items()}
+        return {name: _to_quantity(key, entry) for name, entry in value.items()}
     try:
         if isinstance(value, str) and has_other_digits(value):
             raise ValueError(value)
-        found = u.Quantity([_to_quantity(key, one) for one in value] if isinstance(value, list) else value)
+        quantity = u.Quantity([_to_quantity(key, entry) for entry in value] if isinstance(value, list) else value)
     except INCONVERTIBLE:
         raise InputError(f"{key.name} must be {key.words}, such as '2.5 {key.unit}', got {short(value)}") from None
     if isinstance(value, list):
-        return found
-    return found.value * key.unit if found.unit == u.dimensionless_unscaled else found
+        return quantity
+    return quantity.value * key.unit if quantity.unit == u.dimensionless_unscaled else quantity

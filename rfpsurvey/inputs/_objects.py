@@ -116,12 +116,12 @@ def with_columns_of_rules(keys, options: dict, model: Instrument):
     """Return the keys of a catalog that also keep the columns of the catalog that the rules in the options use."""
     texts = [*(options.get("constraints") or ())]
     texts += [] if options.get("rules") is None else model.rules(options["rules"])
-    names = [name for one in as_constraints(texts) if isinstance(one, Rule) for name in one.columns]
+    names = [name for rule in as_constraints(texts) if isinstance(rule, Rule) for name in rule.columns]
     return replace(keys, keep=[*dict.fromkeys([*(keys.keep or ()), *names])]) if names and keys.path else keys
 
 
 def warn_without_catalog(keys) -> None:
     """Issue a warning for each given key that describes a catalog, although no catalog is given."""
-    for one in fields(keys):
-        if one.name != "visits" and getattr(keys, one.name) != one.default:
-            warn_no_effect(f"catalog.{one.name}", "without a catalog")
+    for key in fields(keys):
+        if key.name != "visits" and getattr(keys, key.name) != key.default:
+            warn_no_effect(f"catalog.{key.name}", "without a catalog")

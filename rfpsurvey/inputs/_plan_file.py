@@ -50,8 +50,8 @@ class Given:
         tops = ["", *dict.fromkeys(key.name.partition(".")[0] for key in known)]
 
         def place(key: Key) -> tuple[int, int]:  # keys without a table first; the tables inside a table after its keys
-            top, dot, rest = key.name.partition(".")
-            return (tops.index(top) if dot else 0), rest.count(".")
+            top, dot, inner = key.name.partition(".")
+            return (tops.index(top) if dot else 0), inner.count(".")
 
         for key in sorted(known, key=place):
             if key.name not in self.values and not documented:
@@ -111,9 +111,9 @@ def add_file(keys: dict, values: dict, path: Path) -> None:
         add(keys, values, "", content, path.parent)
     except InputError as error:
         raise type(error)(f"{path}: {error}") from None
-    for one in values.values():
-        if isinstance(one, str) and (match := STORED.search(one)) and Path(one).parent.name == INPUTS:
-            _check_stored(path.parent / INPUTS / Path(one).name, match[1])
+    for value in values.values():
+        if isinstance(value, str) and (match := STORED.search(value)) and Path(value).parent.name == INPUTS:
+            _check_stored(path.parent / INPUTS / Path(value).name, match[1])
 
 
 def _check_stored(path: Path, checksum: str) -> None:
@@ -134,27 +134,27 @@ def add_text(keys: dict, values: dict, text: str, earlier: set[str]) -> None:
     name, sign, value = (part.strip() for part in text.partition("="))
     if not (name and sign and value):
         raise InputError(f"--set must have the form KEY=VALUE, such as joint.time_limit=600, got {text!r}")
-    key, rest = find(keys, name)
-    found = _value(value)
+    key, entry_name = find(keys, name)
+    parsed = _value(value)
     if isinstance(key, Key):
-        is_table = isinstance(found, dict) and dict in key.kinds and not rest
-        if key.texts_only(entry=bool(rest)) and not (is_table or isinstance(found, str | list)):
-            found = value
+        is_table = isinstance(parsed, dict) and dict in key.kinds and not entry_name
+        if key.texts_only(entry=bool(entry_name)) and not (is_table or isinstance(parsed, str | list)):
+            parsed = value
         if list in key.kinds and key.name in earlier:
-            before, new = (one if isinstance(one, list) else [one] for one in (values[key.name], found))
-            found = [*before, *new]
+            before, new = (value if isinstance(value, list) else [value] for value in (values[key.name], parsed))
+            parsed = [*before, *new]
         earlier.add(key.name)
-    add(keys, values, name, found)
+    add(keys, values, name, parsed)
 
 
 def _value(text: str) -> object:
     try:
-        found = tomllib.loads(f"value = {text}")
+        table = tomllib.loads(f"value = {text}")
     except (ValueError, RecursionError):
         return text
     # of the forms of numbers in TOML, only decimal numbers are likely to be intended on a command line
-    other = re.search(r"\d_\d|\b0[box]", re.sub(r"'[^']*'|\"[^\"]*\"", "", text))
-    return found["value"] if len(found) == 1 and not other else text
+    unusual = re.search(r"\d_\d|\b0[box]", re.sub(r"'[^']*'|\"[^\"]*\"", "", text))
+    return table["value"] if len(table) == 1 and not unusual else text
 
 
 def _help(key: Key) -> str:
@@ -193,7 +193,7 @@ def _default(key: Key) -> object:
 def _text(value: object) -> str:
     """Return a value in the syntax of TOML."""
     if isinstance(value, dict):
-        return "{ " + ", ".join(f"{_name(name)} = {_text(one)}" for name, one in value.items()) + " }"
+        return "{ " + ", ".join(f"{_name(name)} = {_text(entry)}" for name, entry in value.items()) + " }"
     if isinstance(value, list | tuple):
         return "[" + ", ".join(map(_text, value)) + "]"
     if isinstance(value, date | datetime):

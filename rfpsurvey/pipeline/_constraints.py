@@ -85,35 +85,33 @@ class Applied:
         """
         if not self.constraints:
             return {}, list
-        field, owner, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
-        fields, names = {False: (field, owner)}, self.instrument.focal_plane.id.astype(str)
-        with_idle = [isinstance(one, Rule) and one.with_idle for one in self.constraints]
-        if any(with_idle):
-            own, xy, vectors, types = idle_fibers(self.instrument, arms, field.projection)
-            fields[True] = field.with_blank_sky(vectors, xy, types), np.append(owner, own)
+        field, positioner_of, n_covering = self._finished(report, positioner, fiber_type, target, sky_vectors, sky_xy)
+        with_idle = [isinstance(constraint, Rule) and constraint.with_idle for constraint in self.constraints]
+        plans = [(field, positioner_of)] * len(self.constraints)
+        if any(with_idle):  # these rules also apply to the fibers of positioners without a target
+            idle, xy, vectors, types = idle_fibers(self.instrument, arms, field.projection)
+            whole = field.with_blank_sky(vectors, xy, types), np.append(positioner_of, idle)
+            plans = [whole if has_idle else plan for plan, has_idle in zip(plans, with_idle, strict=True)]
+        names = self.instrument.focal_plane.id.astype(str)
 
-        def plan(k: int) -> tuple:
-            field, owner = fields[with_idle[k]]
-            return field, owner >= 0, n_covering[k]
-
-        @cache
+        @cache  # the sentences of a rule and the list of verdicts use the same verdict
         def verdict(k: int) -> Verdict:
-            one = self.constraints[k]
-            found = answer(one, partial(one.verdict, *plan(k)))
-            if not isinstance(found, Verdict):
-                raise InputTypeError(f"the verdict of the constraint '{one}' must be a Verdict, got {short(found)}")
-            return replace(found, fibers=tuple(names[fields[with_idle[k]][1][found.rows]].tolist()))
+            constraint, (field, positioner_of) = self.constraints[k], plans[k]
+            given = answer(constraint, partial(constraint.verdict, field, positioner_of >= 0, n_covering[k]))
+            if not isinstance(given, Verdict):
+                raise InputTypeError(
+                    f"the verdict of the constraint '{constraint}' must be a Verdict, got {short(given)}"
+                )
+            return replace(given, fibers=tuple(names[positioner_of[given.rows]].tolist()))
 
-        def violations(k: int) -> list[str]:
-            one = self.constraints[k]
-            if isinstance(one, Rule) and type(one).check is Rule.check:  # its sentences follow from its verdict
-                return one.sentences(verdict(k))
-            return sentences_of(one, *plan(k))
-
-        rows, found = range(len(self.constraints)), {}
-        for k in rows:  # two constraints can have the same text
-            found.setdefault(str(self.constraints[k]), []).extend(violations(k))
-        return found, lambda: [verdict(k) for k in rows]
+        violations: dict[str, list[str]] = {}
+        for k, constraint in enumerate(self.constraints):
+            if isinstance(constraint, Rule) and type(constraint).check is Rule.check:
+                sentences = constraint.sentences(verdict(k))
+            else:
+                sentences = sentences_of(constraint, plans[k][0], plans[k][1] >= 0, n_covering[k])
+            violations.setdefault(str(constraint), []).extend(sentences)  # two constraints can have the same text
+        return violations, lambda: [verdict(k) for k in range(len(self.constraints))]
 
     def _finished(self, report, positioner, fiber_type, target, sky_vectors, sky_xy) -> tuple:
         """Return the field of a finished plan, the positioner of each target, and the numbers of covering arms."""
@@ -122,12 +120,13 @@ class Applied:
         owner, types = np.full(len(field.id), -1), np.append(field.fiber_type, fiber_type)[: len(field.id)]
         owner[rows], types[rows] = positioner, fiber_type
         field = replace(field, fiber_type=types)
-        own, obstacle = report.obstacle_pairs.T
+        covering, obstacle = report.obstacle_pairs.T
+        # the obstacles of constraints follow those of the instrument, of which no constraint is the maker (-1)
         first = len(self.instrument.focal_plane.arrays.obstacles) - len(self.obstacle_of)
         maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
         n_covering = [
-            report.motion.n_planner if "motion" in one.parts else len(np.unique(own[maker == k]))
-            for k, one in enumerate(self.constraints)
+            report.motion.n_planner if "motion" in constraint.parts else len(np.unique(covering[maker == k]))
+            for k, constraint in enumerate(self.constraints)
         ]
         return field, owner, n_covering
 
@@ -144,17 +143,19 @@ def apply_constraints(
     If ``targets`` are only those that have a fiber, their positions on the focal plane must be given as ``xy`` (mm).
     These targets keep all roles, because a finished plan states which fibers are on standards and sky positions.
     """
-    constraints = tuple(one for one in options.all_constraints if one.uses_field)
+    constraints = tuple(constraint for constraint in options.all_constraints if constraint.uses_field)
     field = constraint_field(instrument, projection, targets, xy) if constraints else None
     circles, excluded, given = [np.empty((0, 3))], None, field
-    for one in constraints:
-        circles.append(circles_of(one, given) if "obstacles" in one.parts else circles[0])
-        wrong, what = excluded_by(one, given), getattr(one, "what", "") if isinstance(one, Rule) else ""
+    for constraint in constraints:  # each of them receives the field without the effects of the others
+        circles.append(circles_of(constraint, given) if "obstacles" in constraint.parts else circles[0])
+        wrong = excluded_by(constraint, given)
+        what = getattr(constraint, "what", "") if isinstance(constraint, Rule) else ""
+        # a rule on a role takes only this role from targets with several roles
         if wrong is not None and what in KINDS[1:] and xy is None:
             only = wrong & np.isin(given.kind, JOINED) & (given.category != what)
             field, wrong = replace(field, kind=without_role(field.kind, what, only)), wrong & ~only
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
-    sizes, circles = [len(one) for one in circles[1:]], np.vstack(circles)
+    sizes, circles = [len(drawn) for drawn in circles[1:]], np.vstack(circles)
     if len(circles):
         instrument = replace(
             instrument,
@@ -164,14 +165,14 @@ def apply_constraints(
 
     def excludes_sky(points: np.ndarray, fiber_type: np.ndarray | None) -> np.ndarray:
         wider = field.with_blank_sky(projection.unproject(points, fiber_type), points, fiber_type)
-        parts = [excluded_by(one, wider) for one in constraints]
+        parts = [excluded_by(constraint, wider) for constraint in constraints]
         parts = [part[len(field.id) :] for part in parts if part is not None]
         return np.any(parts, axis=0) if parts else np.zeros(len(points), dtype=bool)
 
     return Applied(
         instrument,
         None if excluded is None else excluded[: len(targets.id)],
-        excludes_sky if any("exclusion" in one.parts for one in constraints) else None,
+        excludes_sky if any("exclusion" in constraint.parts for constraint in constraints) else None,
         constraints,
         field,
         targets.columns.kind if targets.columns.kind is None or field is None else field.kind[: len(targets.id)],
@@ -189,11 +190,11 @@ def idle_fibers(instrument: Instrument, arms: Arms, projection: FieldProjection 
     for name in plane.fiber_types:
         has = np.array([name in row.split("+") for row in plane.fiber_type.tolist()])
         types = np.where(has, name, plane.arrays.first_type) if name else None
-        own = np.flatnonzero(~arms.assigned & has)
-        xy = place_arms(plane, **angles, fiber_type=types).tip[own]
-        xy[np.isnan(arms.tip[own, 0])] = np.nan
-        vectors = np.full((len(own), 3), np.nan) if projection is None else projection.unproject(xy, name or None)
-        parts.append((own, xy, vectors, np.full(len(own), name)))
+        idle = np.flatnonzero(~arms.assigned & has)
+        xy = place_arms(plane, **angles, fiber_type=types).tip[idle]
+        xy[np.isnan(arms.tip[idle, 0])] = np.nan
+        vectors = np.full((len(idle), 3), np.nan) if projection is None else projection.unproject(xy, name or None)
+        parts.append((idle, xy, vectors, np.full(len(idle), name)))
     return tuple(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
@@ -201,11 +202,12 @@ def early_violations(
     instrument: Instrument, projection: FieldProjection, options: AllocationOptions, targets: "FieldTargets"
 ) -> dict[str, list[str]]:
     """Return sentences, for the text of each constraint, on violations that no assignment of fibers can prevent."""
-    early = [one for one in options.constraints if one.before_fibers]
-    field, found = constraint_field(instrument, projection, targets) if early else None, {}
-    for one in early:
-        found.setdefault(str(one), []).extend(sentences_of(one, field, np.zeros(len(field.id), dtype=bool), 0))
-    return found
+    early, violations = [constraint for constraint in options.constraints if constraint.before_fibers], {}
+    field = constraint_field(instrument, projection, targets) if early else None
+    for constraint in early:
+        sentences = sentences_of(constraint, field, np.zeros(len(field.id), dtype=bool), 0)
+        violations.setdefault(str(constraint), []).extend(sentences)
+    return violations
 
 
 def constraint_field(
@@ -220,49 +222,49 @@ def constraint_field(
         parts, xy = [targets], [np.broadcast_to(np.nan, (len(targets.id), 2)) if xy is None else xy]
     else:
         parts = [targets, targets.around]
-        xy = [project_field(instrument, projection, one.vectors, one.columns.fiber_type)[0] for one in parts]
-    found = {"vectors": [one.vectors for one in parts], "xy": xy, "id": [one.id for one in parts]}
-    found["is_available"] = [np.full(len(one.id), one is targets) for one in parts]
-    for name, usual in (("kind", "science"), ("category", ""), ("priority", 0.0)):
-        columns = [getattr(one.columns, name) for one in parts]
-        found[name] = [np.full(len(one.id), usual) if c is None else c for one, c in zip(parts, columns, strict=True)]
-    types = [required_types(instrument, len(one.id), one.columns.fiber_type) for one in parts]
-    found["fiber_type"] = [np.full(len(one.id), "") if c is None else c for one, c in zip(parts, types, strict=True)]
-    extra = {name: np.concatenate([one.extra[name] for one in parts]) for name in targets.extra or {}}
-    columns = {name: np.concatenate(values) for name, values in found.items()}
+        xy = [project_field(instrument, projection, part.vectors, part.columns.fiber_type)[0] for part in parts]
+    columns_of = {"vectors": [part.vectors for part in parts], "xy": xy, "id": [part.id for part in parts]}
+    columns_of["is_available"] = [np.full(len(part.id), part is targets) for part in parts]
+    optional = {name: [getattr(part.columns, name) for part in parts] for name in ("kind", "category", "priority")}
+    optional["fiber_type"] = [required_types(instrument, len(part.id), part.columns.fiber_type) for part in parts]
+    for name, values in optional.items():
+        usual = {"kind": "science", "priority": 0.0}.get(name, "")
+        columns_of[name] = [np.full(len(t.id), usual) if v is None else v for t, v in zip(parts, values, strict=True)]
+    extra = {name: np.concatenate([part.extra[name] for part in parts]) for name in targets.extra or {}}
+    columns = {name: np.concatenate(values) for name, values in columns_of.items()}
     has_kinds = is_complete or targets.columns.kind is not None
     return ConstraintField(instrument, projection, **columns, extra=extra, is_complete=is_complete, has_kinds=has_kinds)
 
 
 def circles_of(constraint: Constraint, field: ConstraintField) -> np.ndarray:
     """Return the obstacles of a constraint; raise an error if the constraint returns anything else."""
-    found = answer(constraint, partial(constraint.obstacles, field))
-    circles = np.asarray(found)
+    answered = answer(constraint, partial(constraint.obstacles, field))
+    circles = np.asarray(answered)
     shaped = circles.ndim == 2 and circles.shape[1] == 3 and circles.dtype.kind in "iuf"
     if not (shaped and np.isfinite(circles).all() and (circles[:, 2] >= 0).all()):
         text = f"the constraint '{constraint}' must return circles as finite numbers x, y and radius (mm), shape (k, 3)"
-        raise refusal(text, found, np.ndarray, list)
+        raise refusal(text, answered, np.ndarray, list)
     return circles
 
 
 def sentences_of(constraint: Constraint, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
     """Return the sentences of the check of a constraint; raise an error if the constraint returns anything else."""
-    found = answer(constraint, partial(constraint.check, field, has_fiber, n_covering))
-    if not (isinstance(found, list | tuple) and all(isinstance(one, str) for one in found)):
+    answered = answer(constraint, partial(constraint.check, field, has_fiber, n_covering))
+    if not (isinstance(answered, list | tuple) and all(isinstance(sentence, str) for sentence in answered)):
         raise InputTypeError(
-            f"the check of the constraint '{constraint}' must return a list of text, got {short(found)}"
+            f"the check of the constraint '{constraint}' must return a list of text, got {short(answered)}"
         )
-    return list(found)
+    return list(answered)
 
 
 def excluded_by(constraint: Constraint, field: ConstraintField) -> np.ndarray | None:
     """Return the targets that a constraint excludes; raise an error if the constraint returns anything else."""
     if "exclusion" not in constraint.parts:
         return None
-    found = answer(constraint, partial(constraint.excluded, field))
-    if found is None:
+    answered = answer(constraint, partial(constraint.excluded, field))
+    if answered is None:
         return None
-    mask = to_plain(found)
+    mask = to_plain(answered)
     if mask.shape != (len(field.id),) or mask.dtype.kind != "b":
         text = f"the constraint '{constraint}' must return one boolean per target, shape ({len(field.id)},)"
         raise InputError(f"{text}, got {mask.dtype.name} of the shape {mask.shape}")

@@ -111,7 +111,6 @@ class FieldReach:
     """A field to which the constraints have been applied, its targets on the focal plane, and the pairs in reach."""
 
     applied: Applied
-    """The applied constraints."""
     xy: np.ndarray
     """Positions of the targets in mm, shape (n, 2)."""
     fiber_type: np.ndarray | None
@@ -276,12 +275,12 @@ def plan_field(
     kind[given] = roles
     ids, vectors = targets.id[rows], targets.vectors.take(rows, axis=0)
     if not given.all():
-        found, known = target[~given], (ids, vectors)
-        types = None if allocation.target_fiber_type is None else allocation.target_fiber_type[found]
+        blank_rows, known = target[~given], (ids, vectors)
+        types = None if allocation.target_fiber_type is None else allocation.target_fiber_type[blank_rows]
         ids, vectors = np.empty(len(target), dtype=blank.dtype), np.empty((len(target), 3))
         ids[given], vectors[given] = known
-        ids[~given] = blank.take(len(found))
-        vectors[~given] = projection.unproject(allocation.xy_mm[found], types)
+        ids[~given] = blank.take(len(blank_rows))
+        vectors[~given] = projection.unproject(allocation.xy_mm[blank_rows], types)
     lon, lat = to_lonlat(vectors)
     owners = np.append(positioner[given], positioner[~given])
     blanks = vectors[~given], allocation.xy_mm[target[~given]]

@@ -55,15 +55,7 @@ class SelectedRows(NamedTuple):
 
 
 class CatalogTargets:
-    """The targets of a catalog in memory, in the order of slots.
-
-    Parameters
-    ----------
-    catalog : Catalog
-        The catalog.
-    index : SkyIndex or SelectedRows
-        The targets, in the order of slots.
-    """
+    """The targets of a catalog in memory, in the order of slots, which is that of ``index``."""
 
     def __init__(self, catalog: Catalog, index: SkyIndex | SelectedRows):
         self.catalog, self.index = catalog, index
@@ -235,10 +227,10 @@ class FieldBuilder:
         has_cadences=False,
     ):
         self.source, self.options, self._instrument = source, options, instrument
-        margins = [one.margin_rad for one in options.all_constraints if one.uses_targets]
+        margins = [constraint.margin_rad for constraint in options.all_constraints if constraint.uses_targets]
         self.around_rad = max(margins, default=None)
-        for one in options.all_constraints:
-            if isinstance(one, Rule) and (column := getattr(one, "column", "")) in one.columns:
+        for constraint in options.all_constraints:
+            if isinstance(constraint, Rule) and (column := getattr(constraint, "column", "")) in constraint.columns:
                 check_unit(column, source.units.get(column, ""))
         marked = mark_required(options.required_ids, source.ids_by_part())
         self.n_required = 0 if marked is None else int(np.count_nonzero(marked))
@@ -289,9 +281,9 @@ class FieldBuilder:
         FieldBuilder
             The rules.
         """
-        found, visits = copy(self), self.source.to_slots(visits)
-        found._begin(visits, made, dropped, visits)
-        return found
+        builder, visits = copy(self), self.source.to_slots(visits)
+        builder._begin(visits, made, dropped, visits)
+        return builder
 
     def spending(self, slot: np.ndarray) -> np.ndarray:
         """Return the targets in ``slot`` of which a visit reduces the number of remaining visits.

@@ -147,15 +147,15 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
-    found = texts_of_lost(plan, names, FORMAT)
-    return found + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
+    texts = texts_of_lost(plan, names, FORMAT)
+    return texts + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
 
 
 def magnitudes(plan: QTable) -> dict[str, np.ndarray]:
     """Return the magnitudes of a plan by the names that SDSS-V uses in its design rules (``BANDS``)."""
     mag = np.asarray(plan["mag"]) if "mag" in plan.colnames else np.empty((len(plan), 0))
-    own = {name: mag[:, at] for name, at in BANDS.items() if isinstance(at, int) and at < mag.shape[-1]}
-    return own | {name: np.asarray(plan[at]) for name, at in BANDS.items() if at in plan.colnames}
+    by_index = {name: mag[:, at] for name, at in BANDS.items() if isinstance(at, int) and at < mag.shape[-1]}
+    return by_index | {name: np.asarray(plan[at]) for name, at in BANDS.items() if at in plan.colnames}
 
 
 def neglected(plan: QTable, sky: bool) -> list[str]:
@@ -206,16 +206,17 @@ def _parse(path: Path):
     if "FIBERMAP;" in text and n == 0:
         raise InputError(f"{path}: the table FIBERMAP must have at least one row, got none")
     widths = sum(map(int, re.findall(r"\[(\d{1,12})\]", text.partition("FIBERMAP;")[0])))
+    # four bytes per character in memory; a small file can declare columns that would fill the memory
     if 4 * widths * n > max(MOST_BYTES, 64 * len(text)):
         raise InputError(f"{path}: {n} rows of text must fit into memory, got {widths} characters in each row")
     with _yanny() as module, tempfile.TemporaryDirectory() as folder:
         copy = Path(folder) / "copy.par"
         copy.write_text(text, encoding="utf-8", newline="")
         try:
-            found = module.yanny(str(copy))
-            rows = found["FIBERMAP"]
-            struct = {name: found.type("FIBERMAP", name) for name in found.columns("FIBERMAP")}
-            header = {key: str(found[key]) for key in found.pairs()}
+            contents = module.yanny(str(copy))
+            rows = contents["FIBERMAP"]
+            struct = {name: contents.type("FIBERMAP", name) for name in contents.columns("FIBERMAP")}
+            header = {key: str(contents[key]) for key in contents.pairs()}
             columns = {
                 name: np.char.decode(rows[name], "utf-8") if rows[name].dtype.kind == "S" else np.array(rows[name])
                 for name in struct
@@ -345,8 +346,8 @@ def _given(plan: QTable, struct: dict) -> dict:
     angle = plan.meta.get("position_angle")
     focal = (np.full(len(plan), np.nan),) * 2 if angle is None else to_wok(x, y, -angle)
     for name, values in zip(("xFocal", "yFocal"), focal, strict=True):
-        own = given.get(name, np.full(len(plan), np.nan))
-        given[name] = np.where(np.isnan(values) | (np.abs(own - values) < 1e-9), own, values)
+        recorded = given.get(name, np.full(len(plan), np.nan))
+        given[name] = np.where(np.isnan(values) | (np.abs(recorded - values) < 1e-9), recorded, values)
         given[name] = _coded(given[name])
     return given
 

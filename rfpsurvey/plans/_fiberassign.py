@@ -54,7 +54,7 @@ COLUMNS = table_of(
     Native("PRIORITY", "i4", "priority", usual=0),
 )
 """Columns of the table FIBERASSIGN in a new file; ``x`` and ``FIBERASSIGN_X`` differ in sign."""
-COMMON = {one.common: name for name, one in COLUMNS.items() if one.common}
+COMMON = {column.common: name for name, column in COLUMNS.items() if column.common}
 EXACT, RANKS = "PRIORITY_VALUE", "PRIORANK"
 """Column with the priorities of a plan if PRIORITY contains ranks, and keyword that states this."""
 UNASSIGNED, STUCK, BROKEN = 1, 2, 4
@@ -75,11 +75,11 @@ def recognizes(path: Path) -> bool:
 def read(path: Path) -> QTable:
     """Return the plan in a fiberassign file; its ``meta["extensions"]`` contains the other tables of the file."""
     header, tables = read_tables(path)
-    found = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
-    if not found:
+    assignments = [table for table in tables if table.meta.get("EXTNAME") == "FIBERASSIGN"]
+    if not assignments:
         raise InputError(f"{path}: the file must have the extension FIBERASSIGN, got none")
-    table = found[0]
-    required = [name for name, one in COLUMNS.items() if one.required]
+    table = assignments[0]
+    required = [name for name, column in COLUMNS.items() if column.required]
     check_columns(table.colnames, required, f"{path}: FIBERASSIGN")
     values = {name: _column(table, name, path) for name in table.colnames if name in COLUMNS}
     check_unique(values["LOCATION"], f"{path}: LOCATION")
@@ -102,12 +102,12 @@ def read(path: Path) -> QTable:
         header=header,
         racen=_angle(header, "TILERA", path),
         deccen=_angle(header, "TILEDEC", path),
-        position_angle=None if rotation is None else 0.0 - rotation,
+        position_angle=None if rotation is None else 0.0 - rotation,  # never -0.0
         epoch=_epoch(values.get("REF_EPOCH")),
         **from_keywords(header),
     )
     plan.meta["columns"] = list(table.colnames)
-    plan.meta["extensions"] = [one for one in tables if one is not table]
+    plan.meta["extensions"] = [extension for extension in tables if extension is not table]
     return plan
 
 
@@ -129,8 +129,8 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         try:
             units = [primary, _to_hdu("FIBERASSIGN", columns, shared, path)]
             for table in plan.meta.get("extensions", ()):
-                own = {name: table[name] for name in table.colnames}
-                units.append(_to_hdu(table.meta.get("EXTNAME"), own, table.meta, path))
+                columns_of_table = {name: table[name] for name in table.colnames}
+                units.append(_to_hdu(table.meta.get("EXTNAME"), columns_of_table, table.meta, path))
             fits.HDUList(units).writeto(temporary)
         except InputError:
             raise
@@ -181,8 +181,8 @@ def _kinds(values) -> np.ndarray:
         bits = values["FA_TYPE"]
         roles = (("science", SCIENCE), ("standard", STANDARD), ("sky", SKY | SUPPLEMENTAL_SKY))
         sums, rows = np.unique(bits, return_inverse=True)
-        names = ["+".join(role for role, bit in roles if one & bit) for one in sums.tolist()]
-        return np.array([*names, "standard"])[rows.reshape(-1)]
+        names = ["+".join(role for role, bit in roles if bits_of_target & bit) for bits_of_target in sums.tolist()]
+        return np.array([*names, "standard"])[rows.reshape(-1)]  # text of at least eight characters, even without rows
     if "OBJTYPE" in values:
         word = np.char.strip(values["OBJTYPE"])
         conditions = [word == "SKY", np.zeros(len(word), dtype=bool), word == "TGT"]
@@ -230,9 +230,9 @@ def _columns(plan, header, path) -> dict:
     """
     assigned, kind = np.asarray(plan["assigned"], dtype=bool), np.asarray(plan["kind"]).astype(str)
     location = _locations(plan, path)
-    bits = np.array([sum(KINDS.get(role, SCIENCE) for role in one.split("+")) for one in kind.tolist()], dtype="u1")
+    bits = np.array([sum(KINDS.get(role, SCIENCE) for role in roles.split("+")) for roles in kind.tolist()], dtype="u1")
     words = np.where(bits == SKY, "SKY", np.where(bits > 0, "TGT", ""))
-    common = {name: plan[one] for one, name in COMMON.items() if one in plan.colnames}
+    common = {name: plan[common_name] for common_name, name in COMMON.items() if common_name in plan.colnames}
     common["FIBERASSIGN_X"] = -plan["x"]
     if "PRIORITY" in common:
         common |= _priorities(np.asarray(common["PRIORITY"]), assigned)
@@ -241,20 +241,20 @@ def _columns(plan, header, path) -> dict:
     if _is_own(plan):
         names = {own_name(name): name for name in plan.meta.get("columns", ())}
         known = (*COMMON, "fiber_type", "kind", "assigned")
-        found = {names.get(name, name): plan[name] for name in plan.colnames if name not in known}
-        found |= common
-        status = np.array(found["FIBERSTATUS"]).astype("i8")
+        columns = {names.get(name, name): plan[name] for name in plan.colnames if name not in known}
+        columns |= common
+        status = np.array(columns["FIBERSTATUS"]).astype("i8")
         edited = assigned != _is_assigned(status, np.asarray(common["TARGETID"]))
         status[edited & assigned] &= ~(UNASSIGNED | STUCK | BROKEN)
         status[edited & ~assigned] |= UNASSIGNED
-        found["FIBERSTATUS"] = status.astype(np.asarray(found["FIBERSTATUS"]).dtype)
-        edited = kind != _kinds({name: np.asarray(column) for name, column in found.items()})
+        columns["FIBERSTATUS"] = status.astype(np.asarray(columns["FIBERSTATUS"]).dtype)
+        edited = kind != _kinds({name: np.asarray(column) for name, column in columns.items()})
         for name, values in (("FA_TYPE", bits), ("OBJTYPE", words)):
-            if name in found and edited.any():
-                found[name] = np.where(edited, values, np.asarray(found[name]))
+            if name in columns and edited.any():
+                columns[name] = np.where(edited, values, np.asarray(columns[name]))
     else:
-        usual = {name: np.full(len(plan), one.usual) for name, one in COLUMNS.items() if one.usual is not None}
-        found = (
+        usual = {name: np.full(len(plan), column.usual) for name, column in COLUMNS.items() if column.usual is not None}
+        columns = (
             usual
             | {
                 "PETAL_LOC": location // 1000,
@@ -266,12 +266,12 @@ def _columns(plan, header, path) -> dict:
             }
             | common
         )
-        found["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"], path)
-    for name, one in COLUMNS.items():
-        if name in found and not (_is_own(plan) and _has_kind(found[name], one.type)):
-            found[name] = _typed(found[name], one.type, one.unit, f"{path}: {name}")
-    order = dict.fromkeys([*plan.meta.get("columns", COLUMNS), *found])
-    return {name: found[name] for name in order if name in found}
+        columns["TARGETID"] = _targets(plan["target_id"], location, assigned, header["TILEID"], path)
+    for name, native in COLUMNS.items():
+        if name in columns and not (_is_own(plan) and _has_kind(columns[name], native.type)):
+            columns[name] = _typed(columns[name], native.type, native.unit, f"{path}: {name}")
+    order = dict.fromkeys([*plan.meta.get("columns", COLUMNS), *columns])
+    return {name: columns[name] for name in order if name in columns}
 
 
 def _locations(plan, path) -> np.ndarray:

@@ -76,9 +76,9 @@ def read(path: Path) -> QTable:
     check_columns(rows.dtype.names, REQUIRED, f"{path}: DESIGN")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
-    for name, one in DESIGN.items():
-        if name in rows.dtype.names and one.kinds:
-            _check_column(rows, "DESIGN", name, one.kinds, path)
+    for name, column in DESIGN.items():
+        if name in rows.dtype.names and column.kinds:
+            _check_column(rows, "DESIGN", name, column.kinds, path)
     fiber = rows["fiberId"]
     check_unique(fiber, f"{path}: fiberId")
     header = _values(primary, path)
@@ -128,7 +128,7 @@ def lost(plan: QTable) -> list[str]:
     if plan.meta["format"] == FORMAT:
         names |= {*DESIGN, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
     else:
-        names |= {"spectrograph", *(name for name, one in DESIGN.items() if one.usual is not None and not one.common)}
+        names |= {"spectrograph", *(name for name, c in DESIGN.items() if c.usual is not None and not c.common)}
     return texts_of_lost(plan, names, FORMAT)
 
 
@@ -144,13 +144,13 @@ def _cobras(rows: np.ndarray) -> np.ndarray:
     fiber, _ = pfs_fibers()
     cobra = np.full(fiber.max() + 1, -1)
     cobra[fiber] = np.arange(1, len(fiber) + 1)
-    found = rows["fiberId"]
-    inside = (found > 0) & (found <= fiber.max())
-    by_map = np.where(inside, cobra[np.where(inside, found, 0)], -1)
+    fiber_ids = rows["fiberId"]
+    inside = (fiber_ids > 0) & (fiber_ids <= fiber.max())
+    by_map = np.where(inside, cobra[np.where(inside, fiber_ids, 0)], -1)
     if "cobraId" not in rows.dtype.names:
         return by_map
-    own = rows["cobraId"].astype(np.int64)
-    return np.where((own >= 1) & (own <= len(fiber)), own, -1)
+    recorded = rows["cobraId"].astype(np.int64)
+    return np.where((recorded >= 1) & (recorded <= len(fiber)), recorded, -1)
 
 
 def _number(header: dict, name: str, path: Path) -> float:
@@ -192,6 +192,7 @@ def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict
     row = order[np.searchsorted(fiber[order], rows["fiberId"])]
     sort = np.argsort(row, kind="stable")
     size = np.bincount(row, minlength=len(fiber))
+    # the number of each row among the rows of its fiber
     place = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
     columns, shape = {}, (len(fiber), max(int(size.max(initial=0)), 1))
     for name in FLUXES:
@@ -227,24 +228,24 @@ def _cards(header) -> dict:
 
 def _values(header, path: Path) -> dict:
     """Return the value of each card, with None for undefined values; lines of commentary cards are joined."""
-    found, bad = {}, []
+    values, bad = {}, []
     for name in _cards(header):
         try:
             value = header[name]
-            found[name] = "\n".join(map(str, value)) if name in COMMENTARY else value
+            values[name] = "\n".join(map(str, value)) if name in COMMENTARY else value
         except Exception:  # astropy can raise any exception
             bad.append(name)
     if bad:
         warn(f"{path}: these header cards cannot be read and are omitted: {', '.join(bad)}")
-    return found
+    return values
 
 
 def _comments(header) -> dict:
-    found = {}
+    comments = {}
     for name, card in _cards(header).items():
         with suppress(Exception):  # astropy can raise any exception
-            found[name] = card.comment
-    return {name: text for name, text in found.items() if text}
+            comments[name] = card.comment
+    return {name: text for name, text in comments.items() if text}
 
 
 def _forms(rows: np.ndarray) -> list[list[str]]:

@@ -42,8 +42,8 @@ DESIGN = table_of(
     Native("fiberStatus", "J"),
 )
 """Columns of the table DESIGN in a new file; a column with a usual value is copied from a tile with this column."""
-NATIVE = {one.common: name for name, one in DESIGN.items() if one.common}
-REQUIRED = [name for name, one in DESIGN.items() if one.required]
+NATIVE = {column.common: name for name, column in DESIGN.items() if column.common}
+REQUIRED = [name for name, column in DESIGN.items() if column.required]
 DTYPES = {"B": "u1", "I": "i2", "J": "i4", "K": "i8", "E": "f4"}
 FLUXES = ("fiberFlux", "psfFlux", "totalFlux", "fiberFluxErr", "psfFluxErr", "totalFluxErr")
 FLUX_UNITS = dict.fromkeys(FLUXES, "nJy")
@@ -130,7 +130,7 @@ def _rows(plan: QTable, path: Path) -> dict:
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     if plan.meta["format"] != FORMAT:
         return _new_rows(plan, plain, path)
-    found = {}
+    columns = {}
     for native, form in plan.meta["formats"]:
         name = next((n for n, other in NATIVE.items() if other == native), own_name(native))
         if native == "pfiNominal":
@@ -138,11 +138,11 @@ def _rows(plan: QTable, path: Path) -> dict:
         else:
             check_columns(plan.colnames, [name], f"{path}: the plan")
             values = plain[name]
-        found[native] = values, _text_form(values) if form.endswith("A") else form
+        columns[native] = values, _text_form(values) if form.endswith("A") else form
     for name in REQUIRED:
-        if name not in found:
-            raise InputError(f"{path}: formats in the meta of the plan must have {name!r}, got {listed(found)}")
-    return found
+        if name not in columns:
+            raise InputError(f"{path}: formats in the meta of the plan must have {name!r}, got {listed(columns)}")
+    return columns
 
 
 def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
@@ -173,8 +173,8 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
         values = plain.get(name, np.full(len(plan), usual if missing is None else missing))
         return whole(np.where(has_target, values, usual), usual)
 
-    found = {name: of_targets(one.common or name, one.usual) for name, one in DESIGN.items() if one.usual is not None}
-    found |= {
+    columns = {name: of_targets(c.common or name, c.usual) for name, c in DESIGN.items() if c.usual is not None}
+    columns |= {
         "fiberId": np.concatenate([fiber[cobra - 1], spare])[order],
         "cobraId": whole(cobra, NO_COBRA),
         "catId": of_targets("catId", -1, missing=0),
@@ -185,8 +185,8 @@ def _new_rows(plan: QTable, plain: dict, path: Path) -> dict:
         "pfiNominal": np.column_stack([of_targets(name, np.nan) for name in ("x", "y")]),
         "fiberStatus": np.full(len(order), GOOD),
     }
-    forms = {name: _text_form(found[name]) if one.type == "A" else one.type for name, one in DESIGN.items()}
-    return {name: (found[name], form) for name, form in forms.items()}
+    forms = {name: _text_form(columns[name]) if column.type == "A" else column.type for name, column in DESIGN.items()}
+    return {name: (columns[name], form) for name, form in forms.items()}
 
 
 def _text_form(values: np.ndarray) -> str:
@@ -262,13 +262,13 @@ def _flux_rows(plan: QTable) -> dict:
         return {"fiberId": (np.empty(0, dtype=np.int32), "J"), **none, "filterName": (np.empty(0, dtype="U1"), "1A")}
     filters = np.asarray(plan["filterName"]).reshape(len(plan), -1)
     keep = filters != ""
-    found = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
+    columns = {"fiberId": (np.repeat(np.asarray(plan["fiberId"]), keep.sum(axis=1)), "J")}
     for name in names:
         values = u.Quantity(plan[name]).to_value(u.nJy)
         values = values.reshape(*keep.shape, *values.shape[keep.ndim :])[keep]
         n = math.prod(values.shape[1:])
-        found[name] = values, f"{n if n > 1 else ''}{'D' if values.dtype.itemsize > 4 else 'E'}"
-    return {**found, "filterName": (filters[keep], _text_form(filters[keep]))}
+        columns[name] = values, f"{n if n > 1 else ''}{'D' if values.dtype.itemsize > 4 else 'E'}"
+    return {**columns, "filterName": (filters[keep], _text_form(filters[keep]))}
 
 
 def _guide_stars(plan: QTable):

@@ -202,8 +202,8 @@ def plan_roles(table: Table) -> dict[str, str]:
     if not is_plan(table):
         return {}
     names = {"id": "target_id", "pmra": "pm_ra", "pmdec": "pm_dec", "epoch": "coord_epoch"}
-    own = ("positioner", "fiber_type", "kind", "x", "y", "ra", "dec", "priority")
-    return {role: name for role, name in {**{n: n for n in own}, **names}.items() if name in table.colnames}
+    same_names = ("positioner", "fiber_type", "kind", "x", "y", "ra", "dec", "priority")
+    return {role: name for role, name in {**{n: n for n in same_names}, **names}.items() if name in table.colnames}
 
 
 def is_plan(table: object) -> bool:
@@ -277,10 +277,10 @@ def as_plan(plan: object) -> QTable:
         "y": table["tip_y"],
         **{name: table[name] for name in ("theta", "phi", "ra", "dec", "priority") if name in table.colnames},
     }
-    other = {name: table[name] for name in table.colnames if name not in {*columns, *OMITTED, *FROM_TILE}}
+    further = {name: table[name] for name in table.colnames if name not in {*columns, *OMITTED, *FROM_TILE}}
     return make_plan(
         columns,
-        other,
+        further,
         format="tile",
         instrument=table.meta["provenance"]["instrument"]["name"],
         header={"layout": table.meta["provenance"]["instrument"].get("layout", "")},
@@ -294,15 +294,15 @@ def as_plan(plan: object) -> QTable:
 
 def further_columns(table: Table) -> dict[str, np.ndarray]:
     """Return the columns of a plan with one value per row, and its magnitudes by the names of the bands."""
-    found = {name: to_plain(table[name]) for name in table.colnames if table[name].ndim == 1}
-    return format_of(table).magnitudes(table) | found
+    plain = {name: to_plain(table[name]) for name in table.colnames if table[name].ndim == 1}
+    return format_of(table).magnitudes(table) | plain
 
 
 def format_of(table: Table) -> SimpleNamespace:
     """Return the optional functions and facts (`OPTIONAL`) of the format of a plan; the usual ones for other tables."""
     name = table.meta.get("format")
-    own = _format(name) if name in _names() else None
-    return SimpleNamespace(**{part: getattr(own, part, usual) for part, usual in OPTIONAL.items()})
+    module = _format(name) if name in _names() else None
+    return SimpleNamespace(**{part: getattr(module, part, usual) for part, usual in OPTIONAL.items()})
 
 
 def is_tile(table: Table) -> bool:
@@ -333,7 +333,7 @@ def _format(name: str) -> object:
     if isinstance(name, str) and name in (*FORMATS, TABLE):
         return import_module(f"rfpsurvey.plans._{name}")
     plugin = find_plugin(GROUP, name, (*FORMATS, TABLE), "format of plans")
-    if lacking := [one for one in PARTS if not hasattr(plugin.value, one)]:
+    if lacking := [part for part in PARTS if not hasattr(plugin.value, part)]:
         raise InputError(f"{plugin} must have {', '.join(PARTS)}, but lacks {', '.join(lacking)}")
 
     def guarded(function):
@@ -343,18 +343,18 @@ def _format(name: str) -> object:
 
         return call
 
-    found = {name: getattr(plugin.value, name) for name in (*PARTS, *OPTIONAL) if hasattr(plugin.value, name)}
-    return SimpleNamespace(**{name: guarded(part) if callable(part) else part for name, part in found.items()})
+    parts = {name: getattr(plugin.value, name) for name in (*PARTS, *OPTIONAL) if hasattr(plugin.value, name)}
+    return SimpleNamespace(**{name: guarded(part) if callable(part) else part for name, part in parts.items()})
 
 
 def _format_for(plan: QTable, path: Path) -> object:
     """Return the format of the plan if it fits the ending of the path, otherwise ``table`` or the first that fits."""
     names, endings = _names(), set()
-    own = plan.meta.get("format")
+    format_of_plan = plan.meta.get("format")
     # packages are imported only if no other format fits
-    for name in dict.fromkeys([*([own] if own in names else []), TABLE, *names]):
-        found = _format(name)
-        if has_ending(path, found.ENDINGS):
-            return found
-        endings.update(found.ENDINGS)
+    for name in dict.fromkeys([*([format_of_plan] if format_of_plan in names else []), TABLE, *names]):
+        module = _format(name)
+        if has_ending(path, module.ENDINGS):
+            return module
+        endings.update(module.ENDINGS)
     raise InputError(f"{path}: the name of a plan must end in one of {', '.join(sorted(endings))} (or with .gz)")

@@ -36,8 +36,8 @@ def read(path: Path) -> QTable:
     names = {name: name for name in COLUMNS}
     if not is_plan(table):
         _check_tile(table, path)
-        own = {common: name for name, common in FROM_TILE.items()}
-        names = {own.get(name, name): name for name in COLUMNS if name != "assigned"}
+        name_in_tile = {common: name for name, common in FROM_TILE.items()}
+        names = {name_in_tile.get(name, name): name for name in COLUMNS if name != "assigned"}
     for name, common in names.items():
         if name in table.colnames:
             _check_column(table, name, common, path)

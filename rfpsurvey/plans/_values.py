@@ -56,8 +56,8 @@ def make_plan(columns: dict, native: dict, *, format: str, instrument: str, head
             table[name] = columns[name] if unit is None else u.Quantity(columns[name], unit, copy=True)
     for name, values in native.items():
         table[own_name(name)] = values
-    found = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
-    table.meta = {name: value for name, value in found.items() if value is not None}
+    entries = {"format": format, "instrument": instrument, **meta, "header": dict(header)}
+    table.meta = {name: value for name, value in entries.items() if value is not None}
     return table
 
 
@@ -72,14 +72,14 @@ def texts_of_lost(plan: QTable, known: set[str], format: str, *, several_roles: 
     ``several_roles`` is whether the format can represent targets with several roles.
     """
     names = [name for name in plan.colnames if name not in known]
-    found = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
+    texts = [f"the column{'s' if len(names) > 1 else ''} {', '.join(names)}"] if names else []
     if plan.meta["format"] not in (format, "tile") and plan.meta["header"]:
-        found.append("the keywords of the header")
+        texts.append("the keywords of the header")
     kinds = np.asarray(plan["kind"]).astype(str)
     if not several_roles and (several := np.unique(kinds[np.isin(kinds, JOINED)])).size:
         lost = sorted({role for kind in several.tolist() for role in kind.split("+")[:-1]})
-        found.append(f"the role{'s' * (len(lost) > 1)} {' and '.join(lost)} of targets that have several roles")
-    return found
+        texts.append(f"the role{'s' * (len(lost) > 1)} {' and '.join(lost)} of targets that have several roles")
+    return texts
 
 
 def to_type(values: np.ndarray, dtype: str, what: str) -> np.ndarray:
@@ -105,40 +105,41 @@ def to_type(values: np.ndarray, dtype: str, what: str) -> np.ndarray:
 def _whole(value: object) -> int | None:
     """Return a number or text as an integer; None if it is not a whole number."""
     try:
-        return int(value) if int(value) == (int(value) if isinstance(value, str) else value) else None
+        number = int(value)
+        return number if isinstance(value, str) or number == value else None
     except (ValueError, OverflowError, TypeError):
         return None
 
 
 def to_keywords(meta: dict) -> dict:
     """Return keywords of a file that contain the description of the projection in the ``meta`` of a plan."""
-    found = {}
+    keywords = {}
 
     def add(name, value):
         if isinstance(value, dict):
-            for key, one in value.items():
-                add(f"{name}.{key}", one)
+            for key, entry in value.items():
+                add(f"{name}.{key}", entry)
         elif value is not None:
-            found[name] = value
+            keywords[name] = value
 
     for name in ENTRIES:
         add(PREFIX + name, meta.get(name))
-    return found
+    return keywords
 
 
 def from_keywords(header: dict) -> dict:
     """Return the entries of the ``meta`` of a plan that `to_keywords` wrote to a file."""
-    found: dict = {}
+    entries: dict = {}
     for name, value in header.items():
         if not name.lower().startswith(PREFIX):
             continue
         *groups, last = name[len(PREFIX) :].split(".")
-        entry = found
+        entry = entries
         for group in groups:
             entry = entry.setdefault(group, {}) if isinstance(entry, dict) else {}
         if isinstance(entry, dict):
             entry[last] = float(value) if groups and isinstance(value, str) and is_number(value) else value
-    return {name: found[name] for name in ENTRIES if name in found}
+    return {name: entries[name] for name in ENTRIES if name in entries}
 
 
 def without_keywords(header: dict) -> dict:
@@ -148,6 +149,6 @@ def without_keywords(header: dict) -> dict:
 
 def check_instrument(plan: QTable, path: Path, what: str, *names: str) -> None:
     """Raise an error unless a plan is for one of the instruments whose plans a file format contains."""
-    own = plan.meta["instrument"]
-    if own not in names:
-        raise InputError(f"{path}: the instrument of {what} must be {' or '.join(names)}, got {own}")
+    instrument = plan.meta["instrument"]
+    if instrument not in names:
+        raise InputError(f"{path}: the instrument of {what} must be {' or '.join(names)}, got {instrument}")

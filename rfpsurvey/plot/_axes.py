@@ -26,10 +26,10 @@ GROUND = LABEL / 2**0.5 + 5  # points, radius of the white disk below the arrows
 MARGIN = 35  # points, distance of the center of the compass from both edges of the axes
 
 
-def position_angle_of(thing: object) -> float | None:
+def position_angle_of(result: object) -> float | None:
     """Return the position angle (degrees) at which a focal plane is drawn, or None for a tile with an unknown angle."""
-    if isinstance(thing, Tile):
-        return thing.provenance["parameters"].get("position_angle_deg")
+    if isinstance(result, Tile):
+        return result.provenance["parameters"].get("position_angle_deg")
     return 0.0
 
 
@@ -104,11 +104,11 @@ def new_grid(rows: int, columns: int, size: tuple[float, float], **options: obje
     return figure, figure.subplots(rows, columns, squeeze=False, **options)
 
 
-def named_plane(thing: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
+def named_plane(instrument: FocalPlane | Instrument | str) -> tuple[str, FocalPlane]:
     """Return the name and the focal plane of an instrument; a focal plane without an instrument has an empty name."""
-    thing = as_instrument(thing) if isinstance(thing, str) else thing
-    plane = as_focal_plane(thing)
-    return ("" if plane is thing else thing.name), plane
+    instrument = as_instrument(instrument) if isinstance(instrument, str) else instrument
+    plane = as_focal_plane(instrument)
+    return ("" if plane is instrument else instrument.name), plane
 
 
 def focal_plane_axes(

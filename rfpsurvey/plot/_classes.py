@@ -94,9 +94,9 @@ def short_names(names: Sequence[str], most: int = MOST) -> list[str]:
     names = list(names)
     for head in (most // 2, most // 4, 3 * most // 4, 1, most - 2):
         end = most - 1 - head
-        found = [one if len(one) <= most else one[:head] + DOTS + one[-end:] for one in names]
-        if len(set(found)) == len(set(names)):
-            return found
+        shortened = [name if len(name) <= most else name[:head] + DOTS + name[-end:] for name in names]
+        if len(set(shortened)) == len(set(names)):
+            return shortened
     number = {name: k for k, name in enumerate(dict.fromkeys(names), 1)}
     return [f"{name[: most - 1 - len(str(number[name]))]}{DOTS}{number[name]}" for name in names]
 
@@ -169,11 +169,11 @@ def _by_class(color, assigned, columns) -> Iterator[Layer]:
         colors = [SERIES[1], SERIES[2]] if len(names) <= 2 else GROUP_COLORS
     for k, name in enumerate(names):
         rows = class_of == k
-        both = rows & assigned
+        in_class_and_assigned = rows & assigned
         if rows.any():
-            label = f"{name}: {np.count_nonzero(both)} of {np.count_nonzero(rows)}"
+            label = f"{name}: {np.count_nonzero(in_class_and_assigned)} of {np.count_nonzero(rows)}"
             place = k if color == "priority" else -k  # the most important or rarest classes are on top
-            yield Layer(label, both, colors[k], MARKERS[k % len(MARKERS)], assigned=True, place=place)
+            yield Layer(label, in_class_and_assigned, colors[k], MARKERS[k % len(MARKERS)], assigned=True, place=place)
             yield Layer("", rows & ~assigned, colors[k], "o", assigned=False, place=place)
 
 

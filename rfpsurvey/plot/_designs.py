@@ -80,12 +80,12 @@ def plot_designs(
     'fraction of fibers lost to collisions (independent)'
     """
     mark = {**_instruments(table), **(mark or {})}
-    for one in (table, *mark.values()):
-        if not isinstance(one, QTable) or "loss" not in one.colnames or "objectives" not in one.meta:
+    for designs in (table, *mark.values()):
+        if not isinstance(designs, QTable) or "loss" not in designs.colnames or "objectives" not in designs.meta:
             raise InputError("table, and each table in mark, must be a table that explore_designs returned")
-        if _question(one) != _question(table):
+        if _question(designs) != _question(table):
             same = f"the same definition as in the plotted table ({_question(table)})"
-            raise InputError(f"the column loss of each table in mark must have {same}, got {_question(one)}")
+            raise InputError(f"the column loss of each table in mark must have {same}, got {_question(designs)}")
     objectives = list(table.meta["objectives"])
     x, y = (o if name is None else name for name, o in zip((x, y), objectives, strict=True))
     numbers = [name for name in table.colnames if table[name].dtype.kind in "if"]
@@ -94,14 +94,14 @@ def plot_designs(
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
-    others = _names(table) == ""  # the design of an instrument is drawn as a star
-    few = len(np.unique(values[others])) <= len(MARKERS)
+    not_instrument = _names(table) == ""  # the design of an instrument is drawn as a star
+    few = len(np.unique(values[not_instrument])) <= len(MARKERS)
     style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
     look = {**style, "s": 2 * style["s"], "linewidths": 1.2, "edgecolors": "black", "alpha": 1.0, "zorder": 3}
     handles = []
-    for k, level in enumerate(np.unique(values[others]) if few else [None]):
-        rows = others & (values == level) if few else others
+    for k, level in enumerate(np.unique(values[not_instrument]) if few else [None]):
+        rows = not_instrument & (values == level) if few else not_instrument
         marker = {"marker": MARKERS[k]}
         points = ax.scatter(across[rows], up[rows], c=values[rows], **{**marker, **style})
         ax.scatter(across[rows & front], up[rows & front], c=values[rows & front], **{**marker, **look})
@@ -113,8 +113,8 @@ def plot_designs(
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
         better = f"front: no other design is better in both objectives ({front.sum()} of {len(table)})"
         handles.append(legend_line(color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
-    for name, one in mark.items():
-        _mark(ax, name, values_of(one, x), values_of(one, y))
+    for name, designs in mark.items():
+        _mark(ax, name, values_of(designs, x), values_of(designs, y))
     ax.set(xlabel=_label(table, x), ylabel=_label(table, y))
     if not few:
         ax.figure.colorbar(ScalarMappable(points.norm, points.cmap), ax=ax, label=_label(table, color))

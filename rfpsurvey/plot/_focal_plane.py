@@ -132,7 +132,7 @@ def plot_focal_plane(
     by_class = _targets_of(thing, targets) if isinstance(targets, str) else None
     shown = scene.centers if by_class is None else np.vstack([scene.centers, by_class[0]])
     moving, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
-    own = ax is None
+    makes_figure = ax is None
     ax = focal_plane_axes(ax, shown, scene.outer, region, orientation)
     if region is not None:
         scene = visible_part(scene, ax)
@@ -158,7 +158,7 @@ def plot_focal_plane(
         legend_below(ax, handles, columns=4)
         return ax
     options = legend_options(targets, [handle.get_label() for handle in handles])
-    if own:  # make room for more rows of the legend
+    if makes_figure:  # make room for more rows of the legend
         width, height = ax.figure.get_size_inches()
         rows = -(-len(handles) // options["columns"]) + (targets != "outcome")
         ax.figure.set_size_inches(width, height + ROW * max(rows - 2, 0))

@@ -221,11 +221,11 @@ def plot_collision_map(
     with np.errstate(invalid="ignore"):
         if values.dtype.kind == "f" and ((values < 0) | (values > 1)).any():
             raise InputError(f"probabilities must lie from 0 to 1, got {np.nanmin(values):g} to {np.nanmax(values):g}")
-    one = values.dtype.kind == "b"
-    beside = 0.0 if one else COLOR_BAR
+    is_one_configuration = values.dtype.kind == "b"
+    beside = 0.0 if is_one_configuration else COLOR_BAR
     ax = focal_plane_axes(ax, centers, outer, region, orientation, beside=beside)
     radius = 0.48 * spacing_of(centers, outer)
-    if one:
+    if is_one_configuration:
         _draw_flags(ax, centers, radius, values, pairs, kwargs)
     else:
         _draw_probabilities(ax, centers, radius, values, label, kwargs)

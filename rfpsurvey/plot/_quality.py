@@ -191,47 +191,48 @@ def _series_of(tile) -> list[Series]:
     """
     t = tile.table
     asked = tile.provenance["parameters"].get("requirements") or []
-    found = [Requirement.parse(text) for text in asked if isinstance(asked, list)]
-    found = found or [Requirement("sky"), Requirement("standard")]
+    requirements = [Requirement.parse(text) for text in asked if isinstance(asked, list)]
+    requirements = (requirements or [Requirement("sky"), Requirement("standard")])[:MOST_SERIES]
     values = {name: np.asarray(t[name]) if name in t.colnames else None for name in ("kind", "category", "fiber_type")}
 
-    def counted(one):
+    def counted(requirement):
         rows = np.zeros(len(t), dtype=bool)
         for name in ("kind", "category"):
             if values[name] is not None:
-                rows |= has_role(values[name], one.what)
-        if one.fiber_type and values["fiber_type"] is not None:
-            rows &= values["fiber_type"] == one.fiber_type
+                rows |= has_role(values[name], requirement.what)
+        if requirement.fiber_type and values["fiber_type"] is not None:
+            rows &= values["fiber_type"] == requirement.fiber_type
         return rows
 
     series = []
-    for one, name in zip(found[:MOST_SERIES], short_names([one.what for one in found[:MOST_SERIES]]), strict=True):
-        label = name + (f" ({one.fiber_type})" if one.fiber_type else "")
-        series.append(Series(label, counted(one), one.minimum, one.per))
-    series = [one for one in series if one.rows.any() or one.minimum]
+    names = short_names([requirement.what for requirement in requirements])
+    for requirement, name in zip(requirements, names, strict=True):
+        label = name + (f" ({requirement.fiber_type})" if requirement.fiber_type else "")
+        series.append(Series(label, counted(requirement), requirement.minimum, requirement.per))
+    series = [shown for shown in series if shown.rows.any() or shown.minimum]
     return series or [Series("science", np.isin(np.asarray(t["status"]), ("assigned", "out_of_reach")), 0, "tile")]
 
 
 def _draw_fibers(ax, tile):
     """Draw the number of fibers that count toward each requirement in each spectrograph, and the required number."""
     t, series = tile.table, _series_of(tile)
-    one = "spectrograph" not in t.colnames
-    spectrograph = np.zeros(len(t), int) if one else np.asarray(t["spectrograph"])
+    single = "spectrograph" not in t.colnames
+    spectrograph = np.zeros(len(t), int) if single else np.asarray(t["spectrograph"])
     names, place = np.unique(spectrograph, return_inverse=True)
     width, colliding = 0.8 / len(series), np.asarray(t["in_collision"])
     handles, required, lost = [], [], None
     for k, (label, rows, minimum, per) in enumerate(series):
         color = ARM if label == "science" else FIBER_COLORS[k]
-        free, own = (np.bincount(place[rows & part], minlength=len(names)) for part in (~colliding, colliding))
+        free, in_collision = (np.bincount(place[rows & part], minlength=len(names)) for part in (~colliding, colliding))
         x = np.arange(len(names)) + (k - (len(series) - 1) / 2) * width
         label += f": {np.count_nonzero(rows)}"
         in_all = minimum and per == "tile" and len(names) > 1
         if in_all:
             label += f" (at least {minimum} required)"
         handles.append(ax.bar(x, free, 0.92 * width, color=color, label=label))
-        if own.any():
+        if in_collision.any():
             look = {"color": COLLISION, "hatch": HATCH, "edgecolor": "white", "linewidth": 0, "label": "in collision"}
-            lost = ax.bar(x, own, 0.92 * width, bottom=free, **look)
+            lost = ax.bar(x, in_collision, 0.92 * width, bottom=free, **look)
         if minimum and not in_all and per in ("tile", "spectrograph"):
             ends = (x[0] - width / 2, x[0] + width / 2) if len(names) == 1 else (-0.6, len(names) - 0.4)
             ax.hlines(minimum, *ends, colors=OUTLINE, linestyles="--", linewidths=1.2, zorder=3)
@@ -240,10 +241,10 @@ def _draw_fibers(ax, tile):
     if required:
         label = "required" + ("" if len(names) == 1 else " per spectrograph")
         handles.append(legend_line(label, color=OUTLINE, linestyle="--", linewidth=1.2))
-    ax.set_xticks(np.arange(len(names)), [] if one else [str(name) for name in names], fontsize="small")
+    ax.set_xticks(np.arange(len(names)), [] if single else [str(name) for name in names], fontsize="small")
     ax.yaxis.set_major_locator(MaxNLocator(integer=True))
     highest = max([*required, *(bar.get_y() + bar.get_height() for bar in ax.patches), 1])
-    label = "all positioners" if one else "spectrograph"
+    label = "all positioners" if single else "spectrograph"
     ax.set(xlim=(-0.6, len(names) - 0.4), ylim=(0, 1.08 * highest), xlabel=label, ylabel="fibers")
     letters = sum(len(handle.get_label()) for handle in handles)
     legend_below(ax, handles, columns=3 if len(handles) == 3 and letters <= LONGEST else 2)

@@ -104,7 +104,7 @@ def _of_tile(tile):
         np.asarray(table["status"]),
         np.asarray(table["in_collision"]),
         np.array(geometry["obstacles_mm"]).reshape(-1, 3),
-        [np.array(one) for one in geometry.get("obstacle_polygons_mm", [])],
+        [np.array(polygon) for polygon in geometry.get("obstacle_polygons_mm", [])],
         {name: np.asarray(table[name] if name in table.colnames else np.zeros(len(table), int)) for name in GROUPS},
     )
 
@@ -149,10 +149,10 @@ def visible_part(scene: Scene, ax) -> Scene:
 
     rows = near(scene.centers, 2 * scene.outer.max())  # arms do not extend beyond patrol areas
     columns = ("centers", "inner", "outer", "elbows", "tips", "bodies", "status", "colliding")
-    own = {name: getattr(scene, name)[rows] for name in columns}
-    own["groups"] = {name: values[rows] for name, values in scene.groups.items()}
+    visible = {name: getattr(scene, name)[rows] for name in columns}
+    visible["groups"] = {name: values[rows] for name, values in scene.groups.items()}
     seen = near(scene.obstacles[:, :2], scene.obstacles[:, 2:])
-    return replace(scene, obstacles=scene.obstacles[seen], **own)
+    return replace(scene, obstacles=scene.obstacles[seen], **visible)
 
 
 MARKS = {"disabled": ("x", "disabled"), "stuck": ("s", "stuck"), "out_of_reach": ("^", "target out of reach")}

@@ -275,10 +275,10 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
     tall = float(np.clip((wide - 0.8) * size[1] / size[0], 1.0, 1.6 * WIDTH / columns))
     legend = 0.0 if targets is None and region is None else 0.3
     figure = new_figure(WIDTH, rows * (tall + 0.6) + 0.2 + legend)
-    for k, one in enumerate(passes):
+    for k, pass_number in enumerate(passes):
         ax = figure.add_subplot(rows, columns, k + 1, projection="aitoff" if whole else None)
         sky_map.label(ax)
-        table = tiling.table[number == one]
+        table = tiling.table[number == pass_number]
         draw_tiles(ax, sky_map, table, radius, "pass", {})
         if not whole:
             sky_map.show(ax, low, high)
@@ -287,7 +287,7 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
             if k % columns:
                 ax.set_ylabel("")
         handles = list(draw_field(ax, sky_map, targets, region))
-        words = f"pass {one}: {len(table)} tile{'' if len(table) == 1 else 's'}"
+        words = f"pass {pass_number}: {len(table)} tile{'' if len(table) == 1 else 's'}"
         ax.set_title(words, pad=12 if whole else None, fontsize="medium")
     if handles:
         figure.legend(handles=handles, loc="outside lower center", ncols=2, fontsize="small", frameon=False)

@@ -71,8 +71,8 @@ def plot_speed_accuracy(table: QTable, *, axes: tuple[Axes, Axes] | None = None,
     _state(axes[0], table, f"{n} colliding pairs", f"labels: points per arm; {words}")
     axes[0].legend(fontsize="small", ncols=2)
     axes[1].set_xlabel("time per tile [ms]")
-    for ax, own in zip(axes, labels, strict=True):
-        _label(ax, own)
+    for ax, labels_of_panel in zip(axes, labels, strict=True):
+        _label(ax, labels_of_panel)
     return axes
 
 
@@ -82,17 +82,17 @@ def _draw_methods(ax, table, values, limits, uncertain, style):
     heights = np.where(values > 0, values, limits)
     for k, method in enumerate(dict.fromkeys(table["method"])):
         rows = np.flatnonzero(table["method"] == method)
-        own = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
-        own["markerfacecolor"] = own["color"] if k == 0 else "none"  # so that other markers remain visible
-        (line,) = ax.plot(time[rows], heights[rows], **{**own, **style})
+        look = {"color": SERIES[k % len(SERIES)], "marker": MARKERS[k % 8], "linestyle": ":", "label": method}
+        look["markerfacecolor"] = look["color"] if k == 0 else "none"  # so that other markers remain visible
+        (line,) = ax.plot(time[rows], heights[rows], **{**look, **style})
         line.set_linestyle("none")  # upper limits are not connected by lines
         some = rows[values[rows] > 0]
-        ax.plot(time[some], heights[some], color=own["color"], linestyle=":", linewidth=line.get_linewidth(), zorder=1)
+        ax.plot(time[some], heights[some], color=look["color"], linestyle=":", linewidth=line.get_linewidth(), zorder=1)
         if uncertain is not None and len(some):
             bars = _bars(heights[some], uncertain[some])
-            ax.errorbar(time[some], heights[some], yerr=bars, color=own["color"], **BARS)
+            ax.errorbar(time[some], heights[some], yerr=bars, color=look["color"], **BARS)
         for row in rows[values[rows] == 0]:
-            arrow = {"arrowstyle": "<-", "color": own["color"], "shrinkA": 0, "shrinkB": 3}
+            arrow = {"arrowstyle": "<-", "color": look["color"], "shrinkA": 0, "shrinkB": 3}
             ax.annotate("", (time[row], heights[row]), (0, -22), textcoords="offset points", arrowprops=arrow)
     ax.set(xscale="log", yscale="log")
     known = heights[np.isfinite(heights) & (heights > 0)]
@@ -229,13 +229,13 @@ def _label(ax, points):
             (left + a - GAP_POINTS, low + up, left + a + wide + GAP_POINTS, low + up + LABEL_POINTS)
             for a, up in offsets
         ]
-        best = int(np.argmin([sum(_overlap(box, other) for other in taken) for box in boxes]))
+        best = int(np.argmin([sum(_overlap(box, label_box) for label_box in taken) for box in boxes]))
         taken.append(boxes[best])
         ax.annotate(text, (x, y), xytext=offsets[best], textcoords="offset points", fontsize=LABEL_POINTS)
 
 
-def _overlap(one, other):
+def _overlap(first, second):
     """Return the area that two boxes (left, low, right, high) share."""
-    wide = min(one[2], other[2]) - max(one[0], other[0])
-    high = min(one[3], other[3]) - max(one[1], other[1])
+    wide = min(first[2], second[2]) - max(first[0], second[0])
+    high = min(first[3], second[3]) - max(first[1], second[1])
     return max(wide, 0.0) * max(high, 0.0)

@@ -206,7 +206,7 @@ def plot_survey_status(status: QTable, *, axes: "np.ndarray | None" = None, **kw
 def _draw_progress(ax: Axes, status: QTable) -> None:
     """Draw the numbers of observed visits and tiles up to each date."""
     progress = status.meta["progress"]
-    dates = [one for one in progress["date"] if one]
+    dates = [date for date in progress["date"] if date]
     first = len(progress["date"]) - len(dates)
     x = date2num(np.array(dates, dtype="datetime64[D]")) if dates else np.array([])
     handles = []
@@ -219,7 +219,7 @@ def _draw_progress(ax: Axes, status: QTable) -> None:
     tiles = ax.twinx()
     tiles.step(x, progress["n_tiles"][first:], where="post", color="0.6", zorder=0)
     handles.append(legend_line("tiles (right axis)", color="0.6"))
-    total = sum(n for one in status.meta["tiles"] for state, n in one.items() if state not in ("pass", "dropped"))
+    total = sum(n for row in status.meta["tiles"] for state, n in row.items() if state not in ("pass", "dropped"))
     tiles.set(ylim=(0, 1.03 * max(total, 1)), ylabel="tiles")
     tiles.yaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(ylim=(0, 1.03 * max(int(status["n_requested"][0]), 1)), ylabel="visits", xlabel="date")

@@ -113,9 +113,9 @@ def _draw_fibers(ax, survey):
             label = f"{KINDS.get(kind, kind).replace('+', ' and ')}: {n.sum():.0f}"
             handles.append(ax.bar(np.arange(len(passes)), n, 0.75, bottom, color=KIND_COLORS[kind], label=label))
         bottom = bottom + n
-    rest = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)
-    look = {"color": FADED, "alpha": 0.5, "label": f"without a target: {rest.sum():.0f}"}
-    handles.append(ax.bar(np.arange(len(passes)), rest, 0.75, bottom, **look))
+    n_unused = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)
+    look = {"color": FADED, "alpha": 0.5, "label": f"without a target: {n_unused.sum():.0f}"}
+    handles.append(ax.bar(np.arange(len(passes)), n_unused, 0.75, bottom, **look))
     step = -(-len(passes) // MOST_CLASS_ROWS)
     ax.set_xticks(np.arange(len(passes))[::step], [str(p) for p in passes[::step]], fontsize="small")
     around = 0.6 + max(4 - len(passes), 0) / 2

@@ -71,16 +71,16 @@ def close_pair(plane: FocalPlane, variant: str) -> tuple[np.ndarray, dict]:
     alone = 1 - _covered(plane, _overlapping(plane, both_ways=False))
     union = float((area * alone)[plane.arrays.usable].sum())
     near = min(1.0, np.pi * plane.arrays.separation**2 / union)
-    others = np.count_nonzero(plane.arrays.usable) - 1
-    return np.full(len(plane), 1 - (1 - near) ** max(others, 0)), {"reached_area_mm2": union}
+    n_others = np.count_nonzero(plane.arrays.usable) - 1
+    return np.full(len(plane), 1 - (1 - near) ** max(n_others, 0)), {"reached_area_mm2": union}
 
 
 def _check_arms(plane, method, *models):
     """Raise an error if a formula does not describe the arm model, such as an outline, whose clearance can be 0."""
-    own = plane.positioner.arm_model
-    if own not in models:
+    arm_model = plane.positioner.arm_model
+    if arm_model not in models:
         raise InputError(
-            f"the arm model must be {' or '.join(models)} for the method {method!r}, got {own!r}; use the method "
+            f"the arm model must be {' or '.join(models)} for the method {method!r}, got {arm_model!r}; use the method "
             "quadrature, which supports all arm models, or another arm model of the instrument (with_arm_model)"
         )
 
@@ -133,8 +133,9 @@ def _lens(a, b, d):
     partly = ~apart & ~within
     area = np.where(within, np.pi * small**2, 0.0)
     a, b, d = a[partly], b[partly], d[partly]
-    one = a**2 * np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
-    other = b**2 * np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
+    # two circular sectors, minus the kite between the centers and the intersections, which both sectors contain
+    first_sector = a**2 * np.arccos(np.clip((d**2 + a**2 - b**2) / (2 * d * a), -1, 1))
+    second_sector = b**2 * np.arccos(np.clip((d**2 + b**2 - a**2) / (2 * d * b), -1, 1))
     kite = 0.5 * np.sqrt(np.maximum((-d + a + b) * (d + a - b) * (d - a + b) * (d + a + b), 0.0))
-    area[partly] = one + other - kite
+    area[partly] = first_sector + second_sector - kite
     return area

@@ -210,22 +210,22 @@ def collision_probability(
     )
     nothing_can_touch = len(plane.arrays.neighbors) == len(plane.arrays.obstacle_pairs) == 0
     has_error = chosen.most_iterations is not None
-    found = _zero(plane, source) if nothing_can_touch and has_error else chosen.estimate(question)
-    wanted, met = precision.standard_error, found.pop("met", True)
+    result = _zero(plane, source) if nothing_can_touch and has_error else chosen.estimate(question)
+    wanted, met = precision.standard_error, result.pop("met", True)
     if wanted is not None and not met:
         warn(
-            f"the standard error after {found['n']} iterations{' (the maximum)' if has_error else ''} is "
-            f"{found['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
+            f"the standard error after {result['n']} iterations{' (the maximum)' if has_error else ''} is "
+            f"{result['standard_error']:.2g}: the confidence interval is too wide for the requested standard error "
             f"{wanted:g}"
         )
     meta = {"confidence": precision.confidence, "interval": precision.interval, "n_positioners": len(plane)}
     meta |= {} if precision.estimator == "mean" else {"estimator": precision.estimator}
-    meta |= found.pop("meta")
+    meta |= result.pop("meta")
     meta["choice"] = meta.get("certain") or choice
     if source is not None and (software := packages(options)):
         meta["software"] = {**software, **meta.get("software", {})}
     estimate = Estimate(
-        **found, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
+        **result, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
     )
     return with_dynamic(estimate, dynamic)
 
@@ -233,12 +233,12 @@ def collision_probability(
 def _warn_of_unused(method, options, precision, rng, given) -> None:
     """Issue a warning for each given option that the method does not use."""
     usual = {"targets": "uniform", "variant": "corrected"}
-    names = [one for one, value in given.items() if not _is_usual(value, usual.get(one))]
+    names = [name for name, value in given.items() if not _is_usual(value, usual.get(name))]
     if (options.allocator != QUEUEING or options.changed()) and _is_usual(given["density"], None, str, Callable):
         names.append("allocator")
-    changed = [one.name for one in options_of(Precision) if not one.is_default(precision)]
+    changed = [option.name for option in options_of(Precision) if not option.is_default(precision)]
     names += ["rng"] if is_seed_given(rng) else []
-    names += dict.fromkeys(one if one in ("interval", "stop", "estimator") else "precision" for one in changed)
+    names += dict.fromkeys(name if name in ("interval", "stop", "estimator") else "precision" for name in changed)
     warn_of_unused(names, [method], METHODS.values(), "method")
     if "center" in names and "center" in (method.options or ()) and not isinstance(given["targets"], Catalog):
         warn_no_effect("center", "because targets is not a Catalog")

@@ -47,12 +47,12 @@ def _iterations(rates, p, number, trials, quantile, confidence, rng):
 def _bootstrap(rates, p, number, trials, quantile, confidence, rng, n_samples=2000):
     """Return the bootstrap interval: percentiles of the means of samples drawn from the rates with replacement."""
     means = np.zeros(n_samples)
-    for own in rates:
-        n = len(own)
+    for rates_of_part in rates:
+        n = len(rates_of_part)
         rows = max(1, 1_000_000 // n)  # draw this number of samples at a time, to limit the memory
         for k in range(0, n_samples, rows):
             drawn = rng.integers(0, n, (min(rows, n_samples - k), n))
-            means[k : k + rows] += own[drawn].mean(axis=1) / len(rates)
+            means[k : k + rows] += rates_of_part[drawn].mean(axis=1) / len(rates)
     return tuple(np.quantile(means, [(1 - confidence) / 2, (1 + confidence) / 2]).tolist())
 
 
@@ -155,10 +155,10 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
     )
     basis = _profile(np.bincount(pairs.ravel(), minlength=len(plane))[counts].astype(float))
     typical = CORRELATION * ring_of.sum() / max(all_of.sum(), 1.0)
-    found = _Quadratic(all_of, basis, typical) if beyond.nnz else None
-    if found is None or found.degrees < ENOUGH_DEGREES:
-        found = _Quadratic(ring_of, basis, CORRELATION, BEYOND * beyond)
-    return found.variance(probability[counts]), found.degrees
+    estimate = _Quadratic(all_of, basis, typical) if beyond.nnz else None
+    if estimate is None or estimate.degrees < ENOUGH_DEGREES:
+        estimate = _Quadratic(ring_of, basis, CORRELATION, BEYOND * beyond)
+    return estimate.variance(probability[counts]), estimate.degrees
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
@@ -202,11 +202,11 @@ class _Quadratic:
 
     def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
         n, k = basis.shape
-        own = eye_array(n, format="csr")
-        base = own if known is None else (own + known).tocsr()
+        unit = eye_array(n, format="csr")
+        base = unit if known is None else (unit + known).tocsr()
         self.adjacency, self.basis, self.n = adjacency, basis, n
         # expected values of e'e and e'Ae for unit variance, and for unit covariance of neighbors
-        moments = np.array([[_trace(form, one, basis) for one in (base, adjacency)] for form in (own, adjacency)])
+        moments = np.array([[_trace(form, cov, basis) for cov in (base, adjacency)] for form in (unit, adjacency)])
         sums = np.array([base.sum(), adjacency.sum()])
         self.a, self.b, self.degrees, self.least = np.nan, 0.0, 0.0, np.nan
         if n - k < 1 or moments[0, 0] <= 0:
@@ -237,10 +237,10 @@ class _Quadratic:
     def variance(self, probability: np.ndarray) -> float:
         """Return the larger of two estimates of the variance: with and without the covariances of neighbors."""
         away = probability - self.basis @ (self.basis.T @ probability)
-        own = float(away @ away)
+        squares = float(away @ away)
         if np.isnan(self.a):
             return np.nan
-        return float(max(self.a * own + self.b * float(away @ (self.adjacency @ away)), self.least * own))
+        return float(max(self.a * squares + self.b * float(away @ (self.adjacency @ away)), self.least * squares))
 
 
 def _trace(first, second, basis: np.ndarray) -> float:

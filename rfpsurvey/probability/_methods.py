@@ -87,13 +87,13 @@ def conditional(question: ProbabilityQuestion) -> dict:
 def _simulated(question: ProbabilityQuestion, task: Callable, chunk: int, *, once: bool = False) -> dict:
     if once:
         tallies = [task(1, question.rng)]
-        found = summarize(tallies, question)
+        stats = summarize(tallies, question)
     else:
-        tallies, found = run(question, task, chunk)
+        tallies, stats = run(question, task, chunk)
     trials = sum(tally.trials for tally in tallies)
-    meta = {"allocator": question.options.name, "design_effect": found["design_effect"], "trials": trials}
-    values = _of_tallies(tallies, found, sum(len(tally.pairs) for tally in tallies), question.targets.describe() | meta)
-    return {**values, "met": found.get("met", True)}
+    meta = {"allocator": question.options.name, "design_effect": stats["design_effect"], "trials": trials}
+    values = _of_tallies(tallies, stats, sum(len(tally.pairs) for tally in tallies), question.targets.describe() | meta)
+    return {**values, "met": stats.get("met", True)}
 
 
 def quadrature(question: ProbabilityQuestion) -> dict:
@@ -104,22 +104,22 @@ def quadrature(question: ProbabilityQuestion) -> dict:
     allocations = as_allocations(question.density, question.focal_plane)
     if allocations is not None:
         tally = pool(question.focal_plane, allocations, parked_obstacles=question.parked_obstacles)
-        found = summarize([tally], question)
+        stats = summarize([tally], question)
         n = int(np.mean([len(allocation.queues[1]) for allocation in allocations]))
-        return _of_tallies([tally], found, n, {"density": "empirical", "n_allocations": len(allocations)})
+        return _of_tallies([tally], stats, n, {"density": "empirical", "n_allocations": len(allocations)})
     check_usable(question.focal_plane)
     return integrate(Quadrature(question.focal_plane, question.density), question)
 
 
-def _of_tallies(tallies, found, n, meta) -> dict:
+def _of_tallies(tallies, stats, n, meta) -> dict:
     """Return fields of an `Estimate`; ``meta`` also states why there is no confidence interval, if there is none."""
-    if "no_interval" in found:
-        meta = meta | {"no_interval": found["no_interval"]}
+    if "no_interval" in stats:
+        meta = meta | {"no_interval": stats["no_interval"]}
     assigned = [rate for tally in tallies if not np.isnan(rate := tally.mean(2))]
     return {
-        **{k: found[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
+        **{k: stats[k] for k in ("value", "low", "high", "standard_error", "n_effective")},
         "value_assigned": float(np.mean(assigned)) if assigned else np.nan,
-        "pairs_per_positioner": float(np.mean([own.mean() for tally in tallies if len(own := tally.pair_rates)])),
+        "pairs_per_positioner": float(np.mean([pairs.mean() for tally in tallies if len(pairs := tally.pair_rates)])),
         "per_positioner": merge(tallies).per_positioner,
         "n": n,
         "meta": meta,
@@ -160,7 +160,7 @@ METHODS = table_of(
     ),
 )
 """Methods that compute collision probabilities, by name."""
-ESTIMANDS = tuple(dict.fromkeys(one.estimand for one in METHODS.values()))
+ESTIMANDS = tuple(dict.fromkeys(method.estimand for method in METHODS.values()))
 
 
 def automatic(

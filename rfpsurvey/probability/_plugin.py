@@ -37,10 +37,10 @@ def _ask(plugin: Plugin, question: ProbabilityQuestion) -> dict:
     check_usable(question.focal_plane)
     about = {} if targets is None else {**targets.describe(), "allocator": question.options.name}
     with plugin.answering():
-        found = _checked(question, plugin.value(question))
-    meta = {**about, **found.pop("meta"), **({"software": plugin.software} if plugin.package else {})}
-    met = precision.standard_error is None or not found["standard_error"] > precision.standard_error
-    return {**found, "met": met, "meta": meta}
+        result = _checked(question, plugin.value(question))
+    meta = {**about, **result.pop("meta"), **({"software": plugin.software} if plugin.package else {})}
+    met = precision.standard_error is None or not result["standard_error"] > precision.standard_error
+    return {**result, "met": met, "meta": meta}
 
 
 def _checked(question: ProbabilityQuestion, given: object) -> dict:
@@ -78,11 +78,11 @@ def _checked(question: ProbabilityQuestion, given: object) -> dict:
         "n_effective": n_effective,
         "pairs_per_positioner": np.nan,
     }
-    found = {**usual, **answer, "per_positioner": probability, "meta": dict(meta)}
-    low, high = found["low"], found["high"]
+    result = {**usual, **answer, "per_positioner": probability, "meta": dict(meta)}
+    low, high = result["low"], result["high"]
     if np.isnan(low) != np.isnan(high) or low > value + SLACK or high < value - SLACK:
         raise InputError(f"low, value and high must be in ascending order, got {low:g}, {value:g} and {high:g}")
-    return found
+    return result
 
 
 def _probabilities(given: object, n: int) -> np.ndarray:

@@ -59,9 +59,9 @@ def environments(plane: FocalPlane, radius: float) -> tuple[np.ndarray, np.ndarr
     circles = plane.arrays.obstacles
     if len(circles):
         rows = cKDTree(circles[:, :2]).query_ball_point(xy, radius + circles[:, 2].max())
-        own = np.repeat(np.arange(n), [len(r) for r in rows])
+        center = np.repeat(np.arange(n), [len(r) for r in rows])
         k = np.concatenate([np.array(r, dtype=int) for r in rows])
-        i, away = np.append(i, own), np.vstack([away, circles[k, :2] - xy[own]])
+        i, away = np.append(i, center), np.vstack([away, circles[k, :2] - xy[center]])
         what = np.append(what, 2 * n + k)  # each of the few obstacles is a separate kind
     rotations = range(6) if plane.arrays.poses_free else range(1)
     still = (what >= n) & (what < 2 * n)
@@ -142,28 +142,28 @@ class Quadrature:
         The integral uses ``n_points`` points for the positioner and for each of its neighbors.
         """
         plane, (starts, neighbor) = self.plane, self.plane.arrays.both_ways
-        own = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
-        moving = plane.arrays.usable[own]
-        rows = np.repeat(own[moving], n_points)
+        group = np.concatenate([[i], neighbor[starts[i] : starts[i + 1]]])
+        moving = plane.arrays.usable[group]
+        rows = np.repeat(group[moving], n_points)
         tips = self._tips(rows, _scramble(n_points, int(moving.sum()), rng))
-        entries = make_entries(len(own), len(rows))
+        entries = make_entries(len(group), len(rows))
         entries.weight[: len(rows)] = self._weight(rows, tips)
         entries.segments[:, : len(rows)] = plane.arrays.segments_of(rows, None, tips)
-        queues.prepare_entries(np.concatenate([[0], np.cumsum(n_points * moving)]), self._idle[:, own].copy(), entries)
+        queues.prepare_entries(np.append(0, np.cumsum(n_points * moving)), self._idle[:, group].copy(), entries)
         if not (entries.total[moving] > 0).all() and n_points < NARROW:
             return self(i, 4 * n_points, rng)
         if not (entries.total[moving] > 0).all():
-            where = plane.arrays.xy[own[moving][entries.total[moving] <= 0][0]]
+            where = plane.arrays.xy[group[moving][entries.total[moving] <= 0][0]]
             raise InputError(
                 f"density must be positive somewhere in every patrol area; it is 0 at all {n_points} samples in the "
                 f"patrol area around ({where[0]:.4g}, {where[1]:.4g}) mm"
             )
-        pairs = np.column_stack([np.zeros(len(own) - 1, dtype=np.int64), np.arange(1, len(own))])
+        pairs = np.column_stack([np.zeros(len(group) - 1, dtype=np.int64), np.arange(1, len(group))])
         obstacles = self._setup.obstacle_pairs
         obstacles = obstacles[obstacles[:, 0] == i] * [0, 1]
-        setup = self._setup._replace(limits=_limits_of(self._setup.limits, own), obstacle_pairs=obstacles)
-        expected = make_expected(len(own), len(pairs))
-        queues.expect(pairs, plane.arrays.geometry_of(own), setup, entries, expected)
+        setup = self._setup._replace(limits=_limits_of(self._setup.limits, group), obstacle_pairs=obstacles)
+        expected = make_expected(len(group), len(pairs))
+        queues.expect(pairs, plane.arrays.geometry_of(group), setup, entries, expected)
         # a pair of positioners that can both move is counted twice, once for each positioner, with the weight 0.5
         return float(expected.probability[0]), float(expected.pair_probability @ np.where(moving[1:], 0.5, 1.0))
 
@@ -208,12 +208,12 @@ class Quadrature:
         return make_positioners(self.plane, self._setup).idle
 
 
-def _limits_of(limits, own):
-    """Return collision limits that contain only the outlines of the positioners ``own``, in this order."""
+def _limits_of(limits, group):
+    """Return collision limits that contain only the outlines of the positioners in ``group``, in this order."""
     outline = limits.outline
     if outline.start.size == 1:
         return limits
-    centers = locked(np.ascontiguousarray(outline.centers[own]))
+    centers = locked(np.ascontiguousarray(outline.centers[group]))
     return limits._replace(outline=outline._replace(centers=centers))
 
 

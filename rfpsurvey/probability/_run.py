@@ -89,8 +89,8 @@ def run(
             for half, part in zip(owners, map_in_order(question.executor, task, sizes, sources), strict=True):
                 half.parts.append(part)
                 half.done += len(part.pairs)
-                done = sum(one.done for one in halves)
-                bar(0.99 * done / sum(one.goal for one in halves), note=f"{number_of(done, 'realization')}{note}")
+                done = sum(half.done for half in halves)
+                bar(0.99 * done / sum(half.goal for half in halves), note=f"{number_of(done, 'realization')}{note}")
             for half in some:
                 half.parts = [merge(half.parts)]
                 if half.enough is None:
@@ -98,9 +98,9 @@ def run(
                     note = "" if np.isnan(error) else f", standard error {error:.2g}"
             if all(half.enough for half in halves):
                 for half in halves:
-                    half.goal = min(max(one.enough for one in halves), half.limit)
+                    half.goal = min(max(other_half.enough for other_half in halves), half.limit)
         bar(1)
-    tallies = [half.parts[0].first(other.enough) for half, other in zip(halves, halves[::-1], strict=True)]
+    tallies = [half.parts[0].first(other_half.enough) for half, other_half in zip(halves, halves[::-1], strict=True)]
     return tallies, {**summarize(tallies, question), "met": all(half.met for half in halves)}
 
 
@@ -153,15 +153,15 @@ def summarize(tallies: list[CollisionSums], question: ProbabilityQuestion) -> di
     """
     plane, precision = question.focal_plane, question.precision
     given = question.targets is None or question.targets.kind == "given"
-    parts, normal = [own for tally in tallies if len(own := tally.rates())], quantile(precision.confidence, np.inf)
+    parts, normal = [part for tally in tallies if len(part := tally.rates())], quantile(precision.confidence, np.inf)
     if not parts:
         raise InputError(
             "at least one positioner must be counted, but no positioner reaches a target, and none is a parked obstacle"
         )
     tally, rates = merge(tallies), np.concatenate(parts)
-    n, p = len(rates), min(float(np.mean([own.mean() for own in parts])), 1.0)
-    # the weight of a realization is 1 / len(parts) / len(own)
-    scatter = float(rates.std(ddof=1) * np.sqrt(sum(1 / len(own) for own in parts)) / len(parts)) if n > 1 else 0.0
+    n, p = len(rates), min(float(np.mean([part.mean() for part in parts])), 1.0)
+    # the weight of a realization is 1 / len(parts) / len(part)
+    scatter = float(rates.std(ddof=1) * np.sqrt(sum(1 / len(part) for part in parts)) / len(parts)) if n > 1 else 0.0
     scatter = 0.0 if scatter < 1e-14 else scatter
     student = quantile(precision.confidence, n - 1)
     one_sky = given or scatter == 0.0
@@ -224,10 +224,10 @@ def rate_interval(plane: FocalPlane, probabilities: list[np.ndarray], confidence
     if n == 0:
         return np.nan, np.nan, np.nan
     p = min(float(np.nansum(probabilities) / n), 1.0)
-    found = np.array(
+    spread = np.array(
         [sky_variance(plane, probability) for probability, count in zip(probabilities, counts, strict=True) if count]
     )
-    variances, degrees = found[:, 0] * (counts[counts > 0] / n) ** 2, float(found[:, 1].sum())
+    variances, degrees = spread[:, 0] * (counts[counts > 0] / n) ** 2, float(spread[:, 1].sum())
     if degrees < FEWEST_DEGREES or np.isnan(variances).any():
         return p, np.nan, np.nan
     width = quantile(confidence, degrees if 0 < p < 1 else np.inf)

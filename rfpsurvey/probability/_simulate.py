@@ -198,9 +198,9 @@ class Simulation:
             given = numbers, self._most, self.source.sky, self._positioners, realization, pairs, self._setup
             simulate.queue_and_expect(rng, *given, entries, expected, sums)
         else:
-            for own in sums:
+            for sums_of_realization in sums:
                 given = self._queue_segments(rng, thin=True)
-                expect_queues(self.plane, self._setup, self._positioners, given, expected, own)
+                expect_queues(self.plane, self._setup, self._positioners, given, expected, sums_of_realization)
         return CollisionSums.of(sums, expected)
 
     @property
@@ -236,7 +236,7 @@ class Simulation:
         allocation = assign(self.plane, self.source.draw(rng), columns, self.options, rng)
         if allocation.queues is not None:
             return allocation
-        target = allocation.target_of_positioner
+        target = allocation.target_of_positioner  # without queues, the queue of a positioner is its target
         one_each = np.concatenate([[0], np.cumsum(target >= 0)]), target[target >= 0]
         return replace(allocation, queues=one_each)
 
@@ -254,15 +254,15 @@ def as_allocations(density: object, plane: FocalPlane) -> list[Allocation] | Non
     some = [density] if isinstance(density, Allocation) else density
     if not isinstance(some, list | tuple) or not some:
         return None
-    for one in some:
-        if not isinstance(one, Allocation) or one.queues is None:
+    for plan in some:
+        if not isinstance(plan, Allocation) or plan.queues is None:
             raise InputError(
-                f"density must be Allocations with queues, such as those of the allocator 'balanced', got {one!r}"
+                f"density must be Allocations with queues, such as those of the allocator 'balanced', got {plan!r}"
             )
-        if len(one.target_of_positioner) != len(plane):
+        if len(plan.target_of_positioner) != len(plane):
             raise InputError(
                 f"density must be Allocations for the {len(plane)} positioners of the focal plane, got an Allocation "
-                f"for {len(one.target_of_positioner)} positioners"
+                f"for {len(plan.target_of_positioner)} positioners"
             )
     return list(some)
 
@@ -273,9 +273,9 @@ def pool(plane: FocalPlane, allocations: list[Allocation], *, parked_obstacles: 
     The combined queue of a positioner contains the targets of its queues in all ``allocations``.
     """
     parts = [queue_segments(plane, allocation) for allocation in allocations]
-    own = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
-    order = np.argsort(own, kind="stable")
-    indptr = np.searchsorted(own[order], np.arange(len(plane) + 1))
+    positioner = np.concatenate([np.repeat(np.arange(len(plane)), np.diff(indptr)) for indptr, _ in parts])
+    order = np.argsort(positioner, kind="stable")
+    indptr = np.searchsorted(positioner[order], np.arange(len(plane) + 1))
     segments = np.concatenate([segments for _, segments in parts], axis=1)[:, order]
     setup = make_setup(plane.arrays, parked_obstacles)
     sums, expected = np.empty((1, 5)), make_expected(len(plane), len(plane.arrays.neighbors))

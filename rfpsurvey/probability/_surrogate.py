@@ -81,9 +81,9 @@ def surrogate_probability(
                 "surrogate does not extrapolate; use collision_probability(method='quadrature')"
             )
     points = np.stack([np.clip(v, n[0], n[-1]) for v, n in zip(shape, AXES.values(), strict=True)], axis=-1)
-    found = surrogate_spline()(points.reshape(-1, 3)).reshape(l1.shape)
+    interpolated = surrogate_spline()(points.reshape(-1, 3)).reshape(l1.shape)
     cannot_touch = step > 2 * (l1 + l2) + distance
-    return np.where(cannot_touch, 0.0, np.clip(found, 0.0, 1.0))
+    return np.where(cannot_touch, 0.0, np.clip(interpolated, 0.0, 1.0))
 
 
 def outside_box(name: str, value: np.ndarray) -> np.ndarray:
@@ -105,7 +105,7 @@ def interior_probability(
     rings = int((2 * (l1 + l2) + distance) / (PITCH * np.sqrt(3) / 2)) + 1
     plane = FocalPlane.hexagonal(unit, pitch=PITCH * u.mm, rings=rings)
     task = Quadrature(plane, "uniform")
-    values = [task(len(plane) // 2, n_points, own)[0] for own in rng.spawn(SCRAMBLES)]
+    values = [task(len(plane) // 2, n_points, source)[0] for source in rng.spawn(SCRAMBLES)]
     return float(np.mean(values)), float(np.std(values, ddof=1) / np.sqrt(SCRAMBLES))
 
 

@@ -80,8 +80,8 @@ class Source:
             return to_points_mm(self.sampler(rng), "the result of the function given as targets")
         x, y = np.empty((2, int(self.numbers(1, rng)[0])))
         if self.kind == "poisson_disc":
-            found = simulate.scatter_apart(rng, self.sky, np.empty((2, self.grid_cells)), x, y)
-            x, y = x[:found], y[:found]
+            n_placed = simulate.scatter_apart(rng, self.sky, np.empty((2, self.grid_cells)), x, y)
+            x, y = x[:n_placed], y[:n_placed]
         else:
             simulate.scatter(rng, self.sky, x, y)
         return np.column_stack([x, y])

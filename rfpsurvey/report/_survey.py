@@ -106,12 +106,12 @@ NOT_PLANNED = "Events were recorded after the last plan. Planned visits are thos
 
 def page_of_status(status: Table, where: str) -> Page:
     """Return a page on the status of a survey."""
-    one, tiles = status[0], QTable(rows=status.meta["tiles"])
+    total, tiles = status[0], QTable(rows=status.meta["tiles"])
     done = int(tiles["observed"].sum())
     highlights = {
-        f"of {int(one['n_requested'])} visits observed": int(one["n_observed"]),
+        f"of {int(total['n_requested'])} visits observed": int(total["n_observed"]),
         "tiles observed": done,
-        "visits planned": int(one["n_planned"]),
+        "visits planned": int(total["n_planned"]),
     }
     words = (
         "Left: the numbers of visits (left axis) and of tiles (right axis) that were observed up to each date. Right: "
@@ -136,7 +136,7 @@ def page_of_status(status: Table, where: str) -> Page:
     if areas := status.meta["areas"]:
         sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
     lead = (
-        f"{int(one['n_observed'])} of {number_of(int(one['n_requested']), 'visit')} are observed on "
+        f"{int(total['n_observed'])} of {number_of(int(total['n_requested']), 'visit')} are observed on "
         f"{number_of(done, 'tile')}."
     )
     provenance = {"events": status.meta["events"], "software": versions()}
@@ -164,24 +164,24 @@ ABOUT = (
 )
 
 
-def page_of_selection(found: SelectionProbabilities, where: str) -> Page:
+def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
     """Return the report page of selection probabilities."""
-    s, name = found.summary, found.provenance["instrument"]["name"]
+    s, name = selection.summary, selection.provenance["instrument"]["name"]
     highlights = {
         "targets": s["n_targets"],
         "realizations": s["n_realizations"],
         "mean selection probability": s["mean_probability"],
         "targets never observed": s["n_never_observed"],
     }
-    axes = plot_selection(found)
+    axes = plot_selection(selection)
     axes.set_title("")
     model = {"model": s["model"]} if s.get("model") else {}
-    table = _first(found).table
+    table = _first(selection).table
     table.remove_column("BITWEIGHTS")
-    targets = Rows("Targets in the order of the catalog.", table, where, len(found) - len(table))
-    realizations = Rows("Realizations.", found.realizations, "SelectionProbabilities.realizations")
+    targets = Rows("Targets in the order of the catalog.", table, where, len(selection) - len(table))
+    realizations = Rows("Realizations.", selection.realizations, "SelectionProbabilities.realizations")
     sections = [
-        Section("Result", [Facts("", selection_facts(found) | model)]),
+        Section("Result", [Facts("", selection_facts(selection) | model)]),
         Section("Probabilities", [Picture("Selection probabilities of the targets.", axes, WORDS)]),
         Section("Targets", [targets, Text(list(ABOUT))]),
         Section("Realizations", [realizations]),
@@ -191,10 +191,10 @@ def page_of_selection(found: SelectionProbabilities, where: str) -> Page:
         f"subpriorities. Of {number_of(s['n_targets'], 'target')}, {s['n_always_observed']} are observed in all "
         f"realizations, {s['n_sometimes_observed']} in some, and {s['n_never_observed']} in none."
     )
-    return Page("Selection", f"Selection probabilities with {name}", lead, highlights, sections, found.provenance)
+    return Page("Selection", f"Selection probabilities with {name}", lead, highlights, sections, selection.provenance)
 
 
-def _first(found):
+def _first(selection):
     """Return the selection probabilities of the first targets."""
     columns = ("target_id", "requested", "n_tiles", "bits")
-    return replace(found, **{name: getattr(found, name)[:MOST_TARGETS] for name in columns})
+    return replace(selection, **{name: getattr(selection, name)[:MOST_TARGETS] for name in columns})

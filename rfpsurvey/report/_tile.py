@@ -209,24 +209,24 @@ def _collisions(tile, where) -> list:
     blocks = [Text(f"{words}{_not_counted(tile)}{'' if colliding.any() else ' No arm is in collision.'}")]
     if colliding.any():
         blocks.append(Rows("Positioners in collision.", table[colliding], where))
-    rest = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
-    left_out = len(narrow) - len(rest)
+    narrow_rows = table[narrow[:NARROW]][[c for c in table.colnames if c != "colliding_with"]]
+    left_out = len(narrow) - len(narrow_rows)
     return [
         *blocks,
-        Rows("Positioners without a collision that have the smallest clearances.", rest, where, left_out),
+        Rows("Positioners without a collision that have the smallest clearances.", narrow_rows, where, left_out),
     ]
 
 
 def _not_counted(tile) -> str:
     """Return a sentence on arms in collision that the summary does not count; the text is empty if there are none."""
     colliding, n = np.asarray(tile.table["in_collision"]), tile.summary["n_colliding"]
-    others = int(colliding.sum()) - n
-    if others <= 0:
+    n_more = int(colliding.sum()) - n
+    if n_more <= 0:
         return ""
     status = np.asarray(tile.table["status"])[colliding]
     what = " or ".join(sorted({word for word in status.tolist() if word not in ("assigned", "out_of_reach")}))
     return (
-        f" The table has {n + others} rows: the {number_of(n, 'positioner')} in collision, and {others} more with the "
+        f" The table has {n + n_more} rows: the {number_of(n, 'positioner')} in collision, and {n_more} more with the "
         f"status {what}, which cannot move to a target. The number of positioners in collision and the collision rate "
         "do not count the latter."
     )

@@ -66,7 +66,7 @@ def view_data(plans: Mapping[str, Tile]) -> dict:
         "inner": pack(np.broadcast_to(np.asarray(geometry["inner_radius_mm"], float), len(table)), MM),
         "outer": pack(np.broadcast_to(np.asarray(geometry["outer_radius_mm"], float), len(table)), MM),
         "reasons": list(IDLE_REASONS),
-        "plans": [_plan(name, one) for name, one in plans.items()],
+        "plans": [_plan(name, tile_of_plan) for name, tile_of_plan in plans.items()],
     }
 
 
@@ -101,7 +101,7 @@ def _idle(tile):
     idle, free = tile.idle, tile.idle_targets
     counts = (idle[c].tolist() for c in ("n_in_reach", "n_free", "n_possible"))
     rows = [row_of[name] for name in idle["id"].tolist()]
-    found = zip(rows, (codes[reason] for reason in idle["reason"].tolist()), *counts, strict=True)
+    idle_rows = zip(rows, (codes[reason] for reason in idle["reason"].tolist()), *counts, strict=True)
     kinds = free["kind"].tolist() if "kind" in free.colnames else ["science"] * len(free)
     columns = (
         [row_of[name] for name in free["id"].tolist()],
@@ -112,7 +112,7 @@ def _idle(tile):
         free["possible"].astype(int).tolist(),
         [text_of(text) for text in free["colliding_with"].tolist()],
     )
-    return {"idle": [list(row) for row in found], "free": [list(row) for row in zip(*columns, strict=True)]}
+    return {"idle": [list(row) for row in idle_rows], "free": [list(row) for row in zip(*columns, strict=True)]}
 
 
 MOST_DRAWN = 20_000
@@ -145,11 +145,11 @@ def differences(plans: Mapping[str, Tile]) -> QTable:
     """Return a table with a row for each plan, which is compared with the first plan."""
     first, rows = None, []
     for name, tile in plans.items():
-        own = np.ma.filled(np.ma.asarray(tile.table["target_id"]).astype(str), "")
-        first = own if first is None else first
-        same, before, now = own == first, first != "", own != ""
+        target_ids = np.ma.filled(np.ma.asarray(tile.table["target_id"]).astype(str), "")
+        first = target_ids if first is None else first
+        same, before, now = target_ids == first, first != "", target_ids != ""
         counts = (now, same & now, ~same & before & now, ~same & before & ~now, ~same & ~before & now)
-        rows.append((name, *(int(np.count_nonzero(one)) for one in counts), tile.summary["n_colliding"]))
+        rows.append((name, *(int(np.count_nonzero(mask)) for mask in counts), tile.summary["n_colliding"]))
     names = ("plan", "with a target", "same target", "different target", "target only in the first plan")
     return QTable(rows=rows, names=(*names, "target only in this plan", "in collision"))
 

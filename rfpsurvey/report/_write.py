@@ -169,6 +169,6 @@ def _pictures(figures) -> list[Picture]:
             raise InputTypeError(f"figures must be Figures or Axes of matplotlib, got {type(figure).__name__}")
     pictures = []
     for caption, figure in named.items():
-        first, stop, rest = str(caption).partition(". ")
-        pictures.append(Picture(f"{first}." if stop else first, figure, rest))
+        first, stop, description = str(caption).partition(". ")
+        pictures.append(Picture(f"{first}." if stop else first, figure, description))
     return pictures

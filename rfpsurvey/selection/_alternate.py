@@ -56,9 +56,9 @@ class Generation(NamedTuple):
         needed[list(self.observed)] = True
         reach = 2 * np.sin(request.radius_rad + request.margin_rad) * (1 + 1e-9)
         for k in range(len(rounds) - 1, 0, -1):
-            for one in rounds[k][needed[rounds[k]]].tolist():
+            for tile in rounds[k][needed[rounds[k]]].tolist():
                 earlier = np.concatenate(rounds[:k])
-                needed[earlier] |= np.linalg.norm(vectors[earlier] - vectors[one], axis=1) <= reach
+                needed[earlier] |= np.linalg.norm(vectors[earlier] - vectors[tile], axis=1) <= reach
         return [tiles[needed[tiles]] for tiles in rounds]
 
 
@@ -120,13 +120,7 @@ def failure_rates(plane: FocalPlane, visits: np.ndarray, failed: tuple[str, ...]
 
 
 class History:
-    """The visits that the observed tiles made in the realizations of a block.
-
-    Parameters
-    ----------
-    n_targets, n_realizations : int
-        Numbers of targets and of realizations.
-    """
+    """The visits that the observed tiles made in the realizations of a block."""
 
     def __init__(self, n_targets: int, n_realizations: int):
         self.counts = np.zeros((n_realizations, 2), dtype=np.int64)
@@ -134,13 +128,13 @@ class History:
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
-    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone, own: np.ndarray) -> None:
+    def keep(self, row: int, generation: Generation, targets: np.ndarray, done: BlockDone, used: np.ndarray) -> None:
         """Keep the visits of a tile that was observed with the plan of a generation.
 
-        ``targets`` are the rows of the targets of its field, and ``own`` selects those whose visits count.
+        ``targets`` are the rows of the targets of its field, and ``used`` selects those whose visits count.
         """
-        good = {failed: mask[own] for failed, mask in zip(generation.observed[row].rates, done.good, strict=True)}
-        self._visits[row, generation.number] = targets[own], done.mask[own], good, done.counts
+        good = {failed: mask[used] for failed, mask in zip(generation.observed[row].rates, done.good, strict=True)}
+        self._visits[row, generation.number] = targets[used], done.mask[used], good, done.counts
 
     def _add(self, row: int, observation: Observation, sign: int) -> None:
         """Add the visits of an observation; with the sign -1, remove them, because the observation was corrected."""
@@ -148,7 +142,8 @@ class History:
         targets, mask, good, counts = self._visits[row, number]
         self.counts += sign * counts
         for visits, bits in ((self.made, good[failed]), (self.failed, mask & ~good[failed])):
-            visits[:, targets] += np.uint8(sign % 256) * to_bits(bits, len(counts)).T  # modulo 256
+            # numbers of one byte are modulo 256, where adding 255 subtracts 1
+            visits[:, targets] += np.uint8(sign % 256) * to_bits(bits, len(counts)).T
 
     def open_state(self, generation: Generation) -> State:
         """Return the state of the targets before a generation is planned.
@@ -156,7 +151,7 @@ class History:
         The visits of partly observed tiles are then already made.
         """
         request = generation.request
-        done = {row: one for row, one in generation.kept.items() if row in request.state.closed}
+        done = {row: observation for row, observation in generation.kept.items() if row in request.state.closed}
         for row in [*self._added]:
             if done.get(row) != self._added[row]:
                 self._add(row, self._added.pop(row), -1)
@@ -207,7 +202,7 @@ def plan_history(
         now = history.open_state(generation)
         for tile, job, done, _ in plan_rounds(generation.request, generation.rounds, now, generation.observed.get):
             if tile in generation.observed:
-                own = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
-                history.keep(tile, generation, job.field.row, done, own)
+                used = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
+                history.keep(tile, generation, job.field.row, done, used)
     to_slots = generation.request.source.to_slots
     return now.masks() | to_mask(to_slots(made) > 0 for made in history.made), now.counts

@@ -49,14 +49,14 @@ class SelectionFolder(RequestFolder):
     def load_state(self, number: int, state: State, n_rounds: int) -> None:
         """Restore ``state`` from the file of an unfinished block of ``n_rounds`` rounds, if there is such a file."""
         left, counts = ("u1", state.left.shape), ("i8", state.counts.shape)
-        found = self.load(STATE.format(number), left=left, counts=counts, n_rounds=("i8", ()))
-        if found is not None:
-            done = int(found["n_rounds"])
+        stored = self.load(STATE.format(number), left=left, counts=counts, n_rounds=("i8", ()))
+        if stored is not None:
+            done = int(stored["n_rounds"])
             if not 0 <= done < n_rounds:
                 raise InputError(
                     f"{self.path} is damaged: block {number} must have at most {n_rounds} rounds, got {done}"
                 )
-            state.restore(found["left"], found["counts"], done)
+            state.restore(stored["left"], stored["counts"], done)
 
     def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray) -> None:
         """Write the masks of all targets and the counts of a finished block, and remove its state."""
@@ -66,8 +66,8 @@ class SelectionFolder(RequestFolder):
 
     def load_block(self, number: int, n_targets: int, n: int) -> tuple[np.ndarray, np.ndarray] | None:
         """Return the masks of all targets and the counts of a block of n realizations; None if it is not finished."""
-        found = self.load(BLOCK.format(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
-        return None if found is None else (found["mask"], found["counts"])
+        stored = self.load(BLOCK.format(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
+        return None if stored is None else (stored["mask"], stored["counts"])
 
     def finish(self) -> None:
         """Remove the files that are required only to continue an unfinished computation, and their checksums."""

@@ -107,10 +107,10 @@ def potential_assignments(
     options = {"allocator": "nearest", "lost_in_collision": False}
     options |= {"passes": passes, "epoch": epoch, "executor": executor}
     request = prepare_request(catalog, instrument, tiles, **options)
-    found = PotentialAssignments(request, survey, executor, progress)
+    potential = PotentialAssignments(request, survey, executor, progress)
     if survey is not None:
         _check_survey(request, survey)
-    return found
+    return potential
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +200,7 @@ class PotentialAssignments:
         """
         self.request.check_text()
         cards = {
-            **_io.table_cards("POTENTIAL", list(COLUMNS), {name: one.text for name, one in COLUMNS.items()}),
+            **_io.table_cards("POTENTIAL", list(COLUMNS), {name: column.text for name, column in COLUMNS.items()}),
             "INSTRUME": (self.request.instrument.name, "instrument"),
             "NTILES": (len(self), "number of tiles"),
             "NPOINTS": (len(self.request.source), "number of points"),
@@ -216,8 +216,8 @@ class PotentialAssignments:
     def _rows(self) -> Iterator[np.ndarray]:
         """Yield the rows of each tile, sorted by point, then by positioner."""
         names, ids = np.asarray(self.request.tiling.table["tile"]), self.request.instrument.focal_plane.id
-        for tile, own, point in self._pairs():
-            yield np.rec.fromarrays([np.full(len(own), names[tile]), ids[own], point], dtype=self._dtype)
+        for tile, owner, point in self._pairs():
+            yield np.rec.fromarrays([np.full(len(owner), names[tile]), ids[owner], point], dtype=self._dtype)
 
     def _pairs(self) -> Iterator[tuple[int, np.ndarray, np.ndarray]]:
         """Yield, for each tile, its row, and the rows of the positioner and of the point of each pair in reach."""
@@ -225,14 +225,14 @@ class PotentialAssignments:
         open_job = partial(request.job, left=np.ones(len(request.source), dtype=np.uint8))
         tiles, names = np.flatnonzero(~self._is_dropped), np.asarray(request.tiling.table["tile"])
         with Progress(self.progress, len(tiles), "tiles") as tell:
-            found = run_rounds([tiles], self.executor, reachable, open_job, most=IN_FLIGHT)
-            for k, (tile, job, (own, target), _) in enumerate(found, 1):
+            results = run_rounds([tiles], self.executor, reachable, open_job, most=IN_FLIGHT)
+            for k, (tile, job, (owner, target), _) in enumerate(results, 1):
                 if self.survey is not None:  # positioners that lose their target to a collision reach no point
                     visits = self.survey.tile(names[tile])
                     lost = np.asarray(visits["positioner"])[np.asarray(visits["in_collision"])]
-                    rest = ~np.isin(request.instrument.focal_plane.id[own], lost)
-                    own, target = own[rest], target[rest]
-                yield tile, own, job.field.row[target]
+                    keeps_target = ~np.isin(request.instrument.focal_plane.id[owner], lost)
+                    owner, target = owner[keeps_target], target[keeps_target]
+                yield tile, owner, job.field.row[target]
                 tell(k)
 
     @cached_property
@@ -267,6 +267,6 @@ def _check_survey(request: Request, survey: Survey) -> None:
         raise InputError(
             f"survey must have the same centers and position angles as the tiles, got another place for tile {names[k]}"
         )
-    planned, own = survey.provenance["instrument"], request.instrument.provenance
-    if planned.get("digest") != own["digest"]:
+    planned, instrument = survey.provenance["instrument"], request.instrument.provenance
+    if planned.get("digest") != instrument["digest"]:
         raise InputError(f"survey must be a plan for {request.instrument.name}, got one for {planned.get('name')}")

@@ -248,7 +248,8 @@ class SelectionProbabilities:
 
     def _rows(self, rows: slice) -> QTable:
         """Return the table for a slice of the targets."""
-        part = replace(self, **{one.name: getattr(self, one.name)[rows] for one in fields(self)[:-1]})
+        # bits are written as signed integers, because FITS has no unsigned integers of 64 bits
+        part = replace(self, **{column.name: getattr(self, column.name)[rows] for column in fields(self)[:-1]})
         values = {name: part.bits.view(np.int64) if name == "BITWEIGHTS" else getattr(part, name) for name in TARGETS}
         values |= {name: values[name].astype(kind) for name, kind in STORED.items()}
         return QTable(values, copy=False, meta={"summary": self.summary, "provenance": self.provenance})
@@ -277,7 +278,7 @@ class SelectionProbabilities:
         }
         first, second = self._rows(slice(0, 0)), self.realizations
         parts = (self._rows(slice(k, k + PART)).as_array() for k in range(0, len(self), PART))
-        texts = {name: one.text for name, one in TARGETS.items()}
+        texts = {name: column.text for name, column in TARGETS.items()}
         about = {name: second[name].info.description or "" for name in second.colnames}
         _io.write_fits_rows(
             path,
@@ -352,9 +353,9 @@ class SelectionProbabilities:
         )
 
 
-def selection_facts(found: SelectionProbabilities) -> dict:
+def selection_facts(selection: SelectionProbabilities) -> dict:
     """Return the labels and values of the numbers of selection probabilities."""
-    return facts_of(SELECTION_FACTS, found.summary)
+    return facts_of(SELECTION_FACTS, selection.summary)
 
 
 def count_type(n: int) -> type:

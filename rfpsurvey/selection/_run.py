@@ -53,19 +53,18 @@ def run(
             return SelectionProbabilities.read(folder.path)
         seeds, size, builder = seeds_of(request.seed, n), MOST if in_batch(request) else 1, request.builder
         bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
-        counts = []
-        tiles = len(request.tiling)
+        counts, tiles = [], len(request.tiling)
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for number, first in enumerate(range(0, n, size)):
-                own = seeds[first : first + size]
-                done = None if folder is None else folder.load_block(number, len(builder.wanted), len(own))
+                block_seeds = seeds[first : first + size]
+                done = None if folder is None else folder.load_block(number, len(builder.wanted), len(block_seeds))
                 is_known = done is not None
-                plan_rounds = partial(_plan_rounds, seeds=own, executor=executor)
+                plan_rounds = partial(_plan_rounds, seeds=block_seeds, executor=executor)
                 if done is None and generations is not None:
-                    done = plan_history(generations, len(own), plan_rounds)
+                    done = plan_history(generations, len(block_seeds), plan_rounds)
                 elif done is None:
-                    state = State(builder, len(own))
+                    state = State(builder, len(block_seeds))
                     _plan_block(request, number, state, folder, tell, tiles * (1 + first), plan_rounds)
                     done = state.masks(), state.counts
                 if folder is not None and not is_known:
@@ -73,7 +72,7 @@ def run(
                 word, shift = divmod(first, PER_WORD)
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
-                tell(tiles * (1 + first + len(own)), new=generations is not None and not is_known)
+                tell(tiles * (1 + first + len(block_seeds)), new=generations is not None and not is_known)
         source, last = request.source, builder if generations is None else generations[-1].request.builder
         columns = [source.by_row(values) for values in (last.wanted, n_tiles, bits)]
         table = realization_table(request, seeds, np.concatenate(counts))
@@ -88,15 +87,15 @@ def run(
 def _tiles_of_targets(request, folder, executor, tell) -> np.ndarray:
     """Return the number of tiles in which a positioner reaches each target, in the order of the slots of targets."""
     n = len(request.source)
-    found = None if folder is None else folder.load("reach", n_tiles=(count_type(len(request.tiling)), (n,)))
-    if found is not None:
+    stored = None if folder is None else folder.load("reach", n_tiles=(count_type(len(request.tiling)), (n,)))
+    if stored is not None:
         tell(len(request.tiling), new=False)
-        return found["n_tiles"]
+        return stored["n_tiles"]
     n_tiles = np.zeros(n, dtype=count_type(len(request.tiling)))
     open_job, rounds = partial(request.job, left=np.ones(n, dtype=np.uint8)), [np.arange(len(request.tiling))]
     results = run_rounds(rounds, executor, is_reached, open_job, known=request.dropped, most=IN_FLIGHT)
-    for k, (_, job, found, _) in enumerate(results, 1):
-        n_tiles[job.field.slot[found]] += 1
+    for k, (_, job, is_in_reach, _) in enumerate(results, 1):
+        n_tiles[job.field.slot[is_in_reach]] += 1
         tell(k)
     if folder is not None:
         folder.save("reach", n_tiles=n_tiles)
@@ -125,7 +124,8 @@ def _plan_rounds(
 
     The function ``failed`` of the row of a tile returns its `Failures`; None if the tile was not observed.
     """
-    has_field, together = any(one.uses_field for one in request.options.all_constraints), in_batch(request)
+    together = in_batch(request)
+    has_field = any(constraint.uses_field for constraint in request.options.all_constraints)
     if not together:
         options = replace(request.options, subpriority=seeds[0])
         request = replace(request, builder=state.builder, options=options, seed=seeds[0])

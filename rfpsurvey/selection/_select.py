@@ -155,10 +155,10 @@ def selection_probabilities(
             "the folder of the computation to resume must be given with folder= (or --folder), got no folder"
         )
     check_choice(order, ("color", "given"), "order")
-    one = allocator.allocator if isinstance(allocator, JointOptions) else allocator
-    if getattr(one, "subpriority", None) is not None:
+    base = allocator.allocator if isinstance(allocator, JointOptions) else allocator
+    if getattr(base, "subpriority", None) is not None:
         raise InputError(
-            f"subpriority must not be given, because each realization has its own subpriorities, got {one.subpriority}"
+            f"subpriority must not be given, because each realization has its own subpriorities, got {base.subpriority}"
         )
     options = {"allocator": allocator, "passes": passes, "epoch": epoch, "order": order}
     options |= {"lost_in_collision": lost_in_collision, "executor": executor, "rng": rng}
@@ -187,11 +187,11 @@ def selection_probabilities(
                 "tiles must be a survey that was planned without observing conditions; give the tiling of other surveys"
             )
         _check_same(survey.provenance, request)
-    found = run(request, int(n_realizations), folder, executor, progress, resume=resume, generations=generations)
-    if request.builder.wanted.any() and found.never_observed.all():
+    result = run(request, int(n_realizations), folder, executor, progress, resume=resume, generations=generations)
+    if request.builder.wanted.any() and result.never_observed.all():
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
-    log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, found.summary)
-    return found
+    log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, result.summary)
+    return result
 
 
 def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:

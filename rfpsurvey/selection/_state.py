@@ -29,15 +29,8 @@ def in_batch(request: Request) -> bool:
 class State:
     """The remaining visits of each target in each realization of a block.
 
-    A block is a group of realizations that are planned together.
-
-    Parameters
-    ----------
-    builder : FieldBuilder
-        The targets, with their requested numbers of visits. The *slot* of a target is its index in the arrays of the
-        builder.
-    n_realizations : int
-        Number of realizations.
+    A block is a group of realizations that are planned together. The *slot* of a target is its index in the arrays of
+    the builder.
     """
 
     def __init__(self, builder: FieldBuilder, n_realizations: int):

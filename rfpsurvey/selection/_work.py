@@ -42,7 +42,6 @@ class BlockJob(NamedTuple):
     left: np.ndarray
     """Remaining visits of each target of the field, shape (n, n_realizations)."""
     seeds: tuple[int, ...]
-    """Seed of each realization."""
     failed: Failures | None = None
     """The failures of positioners when the tile was observed; None if it was not observed."""
 
@@ -154,12 +153,12 @@ def find_lost(
     columns, times = plane.arrays, np.zeros(chosen.shape, dtype=np.int64)
     if len(columns.runs) + len(columns.obstacle_pairs) == 0:
         return times > 0
-    own, points = pairs.owner, reach.xy[pairs.target]
-    fiber = columns.first_index[own]
+    owner, points = pairs.owner, reach.xy[pairs.target]
+    fiber = columns.first_index[owner]
     if reach.fiber_type is not None:
-        fiber = columns.index_of(reach.fiber_type[pairs.target], own)
-    side = columns.sides(points, own, fiber)
-    poses = chosen, columns.segments_of(own, fiber, points, side), columns.idle_segments(parked_obstacles)
+        fiber = columns.index_of(reach.fiber_type[pairs.target], owner)
+    side = columns.sides(points, owner, fiber)
+    poses = chosen, columns.segments_of(owner, fiber, points, side), columns.idle_segments(parked_obstacles)
     counts = count_poses(plane, make_setup(columns, parked_obstacles), *poses, times, columns.obstacle_slack)
     lost = (times > 0) & (chosen >= 0)
     for r in np.flatnonzero(counts[:, BORDERLINE]):  # exact arithmetic, because rounding could change the result

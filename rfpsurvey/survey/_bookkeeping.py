@@ -11,16 +11,7 @@ from rfpsurvey.survey._work import DONE, EXCLUDED, LOST_IN_COLLISION, REACHED, S
 class Tally:
     """Numbers of targets and visits in each pass and each class; a class is, for example, all targets of one priority.
 
-    Parameters
-    ----------
-    class_of : ndarray of int
-        Index of the class of each target, in the order of slots (see `Bookkeeping`).
-    names : list of str
-        Names of the classes.
-    wanted : ndarray of int
-        Requested number of visits of each target, in the order of slots.
-    n_passes : int
-        Number of passes.
+    ``class_of`` and the requested visits (``wanted``) are in the order of slots (see `Bookkeeping`).
     """
 
     def __init__(self, class_of: np.ndarray, names: list[str], wanted: np.ndarray, n_passes: int):
@@ -45,7 +36,7 @@ class Tally:
 
         The numbers are those of targets, requested visits, successful visits, and complete targets.
         """
-        observed, complete = (one[: number + 1].sum(axis=0) for one in (self.n_observed, self.n_complete))
+        observed, complete = (numbers[: number + 1].sum(axis=0) for numbers in (self.n_observed, self.n_complete))
         return self.names, np.column_stack([self.n_targets, self.n_requested, observed, complete])
 
 
@@ -58,7 +49,7 @@ def classes_by_column(
     define the classes.
     """
     classes = {"priority": priority_classes(priority, wanted), "category": category_classes(category, wanted)}
-    return {column: one for column, one in classes.items() if column == "priority" or len(one[1]) > 1}
+    return {column: labels for column, labels in classes.items() if column == "priority" or len(labels[1]) > 1}
 
 
 def rows_by_class(counts: dict[str, tuple[list[str], np.ndarray]]) -> list[tuple]:
@@ -69,18 +60,14 @@ def rows_by_class(counts: dict[str, tuple[list[str], np.ndarray]]) -> list[tuple
     rows = [(*["all"] * len(counts), *counts["priority"][1].sum(axis=0).tolist())]
     for column, (names, values) in counts.items():
         for name, numbers in zip(names, values.tolist(), strict=True) if len(names) > 1 else ():
-            rows.append((*(name if column == other else "all" for other in counts), *numbers))
+            rows.append((*(name if column == labeled_column else "all" for labeled_column in counts), *numbers))
     return rows
 
 
 class Bookkeeping:
     """Record of the visits of each target; tiles that share no target can be recorded in any order.
 
-    Parameters
-    ----------
-    request : Request
-        The targets, with their requested numbers of visits, and the tiles. The *slot* of a target is its index in the
-        arrays of ``request.builder`` and of this class.
+    The *slot* of a target is its index in the arrays of ``request.builder`` and of this class.
     """
 
     def __init__(self, request):
@@ -94,7 +81,7 @@ class Bookkeeping:
         """Number of successful visits of each tile to science targets."""
         classes = classes_by_column(*(builder.source.by_slot(name) for name in ("priority", "category")), self.wanted)
         self.flags = np.zeros(len(self.wanted), dtype=np.uint8)
-        self.tallies = {column: Tally(*one, self.wanted, n_passes) for column, one in classes.items()}
+        self.tallies = {column: Tally(*labels, self.wanted, n_passes) for column, labels in classes.items()}
         # the index of the last pass in which each target was visited; if passes are planned one after the other, this
         # is the pass of the tile that `enter` records, and no array is required
         in_turn = request.order == "color" and self.windows is None

@@ -78,8 +78,8 @@ class Cadences:
         if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in lower]:
             raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")
         known = {name.lower() for name in table.colnames}
-        if both := next((pair for pair in SYNONYMS.items() if known >= {*pair}), None):
-            raise InputError(f"a table of cadences must have one of the columns {' and '.join(both)}, got both")
+        if twice := next((pair for pair in SYNONYMS.items() if known >= {*pair}), None):
+            raise InputError(f"a table of cadences must have one of the columns {' and '.join(twice)}, got both")
         object.__setattr__(self, "_columns", lower)
         names = [str(name).strip() for name in table[lower["cadence"]].tolist()]
         if len(set(names)) < len(names):
@@ -92,24 +92,24 @@ class Cadences:
     @cached_property
     def _epochs(self) -> list[np.ndarray]:
         """The values of ``COLUMNS`` for each epoch, one array per cadence."""
-        found, columns = [], {}
-        for one in (one for one in (*COLUMNS, "n_epochs") if one in self._columns):
-            column = self.table[self._columns[one]]
-            unit, wanted = getattr(column, "unit", None), u.day if one.startswith("delta") else u.one
+        epochs, columns = [], {}
+        for role in (role for role in (*COLUMNS, "n_epochs") if role in self._columns):
+            column = self.table[self._columns[role]]
+            unit, wanted = getattr(column, "unit", None), u.day if role.startswith("delta") else u.one
             if unit is not None and not unit.is_equivalent(wanted):
-                raise InputError(f"{one} of cadences must have {_UNITS[wanted]}, got {unit}")
-            columns[one] = getattr(column, "value", column), 1.0 if unit is None else unit.to(wanted)
+                raise InputError(f"{role} of cadences must have {_UNITS[wanted]}, got {unit}")
+            columns[role] = getattr(column, "value", column), 1.0 if unit is None else unit.to(wanted)
         n_epochs, _ = columns.pop("n_epochs", ([None] * len(self.names), 1.0))
         for k, (name, given) in enumerate(zip(self.names, n_epochs, strict=True)):
             n = None if given is None else _whole(given, f"n_epochs of cadence {name!r}")
             # files of SDSS-V fill the arrays of shorter cadences with zeros
             values = [
-                factor * _numbers(column[k], f"{one} of cadence {name!r}", n)
-                for one, (column, factor) in columns.items()
+                factor * _numbers(column[k], f"{role} of cadence {name!r}", n)
+                for role, (column, factor) in columns.items()
             ]
             if len(values) < len(COLUMNS):
                 values.append(np.full(len(values[0]), np.inf))
-            if len({len(one) for one in values} | {len(values[0]) if n is None else n}) > 1:
+            if len({len(numbers) for numbers in values} | {len(values[0]) if n is None else n}) > 1:
                 raise InputError(f"the columns of cadence {name!r} must have one value per epoch, got other numbers")
             low, high, n, _ = values = np.array(values)
             closed = (high >= 0) & (high < low)
@@ -122,8 +122,8 @@ class Cadences:
                 )
             if (bad := (n < 1) | (n % 1 > 0)).any():
                 raise InputError(f"n_exp of cadence {name!r} must be whole numbers from 1, got {n[bad][0]:g}")
-            found.append(values)
-        return found
+            epochs.append(values)
+        return epochs
 
     @property
     def epochs(self) -> list[np.ndarray]:
@@ -136,12 +136,12 @@ class Cadences:
     @cached_property
     def _totals(self) -> np.ndarray:
         """The number of exposures of each cadence; the last element is for targets without a cadence."""
-        return np.array([one[2].sum() for one in self.epochs], dtype=np.int64)
+        return np.array([values[2].sum() for values in self.epochs], dtype=np.int64)
 
     @property
     def record(self) -> str:
         """A digest of the cadences, which surveys record."""
-        text = repr([self.column, self.names, [one.tolist() for one in self._epochs]])
+        text = repr([self.column, self.names, [values.tolist() for values in self._epochs]])
         return f"{number_of(len(self.names), 'cadence')}, digest {hashlib.sha256(text.encode()).hexdigest()[:16]}"
 
     def of(self, catalog: Catalog) -> np.ndarray:
@@ -177,8 +177,8 @@ class Cadences:
         for name, n in zip(names.tolist(), self._totals[rows].tolist(), strict=True):
             if n > MOST_VISITS:
                 raise InputError(f"a cadence of targets must have at most {MOST_VISITS} exposures, got {n} in {name!r}")
-        found = rows[place.reshape(-1)]
-        return found if catalog.kind is None else np.where(has_role(catalog.kind, "science"), found, -1)
+        row_of_target = rows[place.reshape(-1)]
+        return row_of_target if catalog.kind is None else np.where(has_role(catalog.kind, "science"), row_of_target, -1)
 
     def visits(self, catalog: Catalog) -> np.ndarray:
         """Return the number of visits of each target: the exposures of all epochs of its cadence.
@@ -202,22 +202,16 @@ class Cadences:
 class Windows:
     """The epochs that targets have completed, and their open windows, while the tiles are planned.
 
-    Parameters
-    ----------
-    cadences : Cadences
-        The cadences.
-    row : ndarray of int
-        Row of the cadence of each target, in the order of slots; -1 for none.
-    days, brightness : ndarray of float, shape (n_tiles,)
-        Time (MJD) and sky brightness of each tile.
+    ``row`` is the row of the cadence of each target, in the order of slots, or -1. ``days`` is the time (MJD) of each
+    tile.
     """
 
     def __init__(self, cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray):
         epochs = cadences.epochs
-        self._n = np.array([one.shape[1] for one in epochs])
+        self._n = np.array([values.shape[1] for values in epochs])
         self._values = np.full((4, len(epochs), self._n.max()), np.nan)
-        for k, one in enumerate(epochs):
-            self._values[:, k, : one.shape[1]] = one
+        for k, values in enumerate(epochs):
+            self._values[:, k, : values.shape[1]] = values
         self._row, self._days, self._brightness = row, days, brightness
         self._epoch, self._made = np.zeros(len(row), dtype=np.int64), np.zeros(len(row), dtype=np.int64)
         self._begin, self._previous = np.full(len(row), np.nan), np.full(len(row), np.nan)
@@ -272,7 +266,7 @@ class Windows:
 
 def days_of(tiling: Tiling) -> np.ndarray:
     """Return the time of each tile (MJD) from its column ``time``, ``date`` or ``mjd``."""
-    there = [one for one in ("mjd", "time", "date") if one in tiling.table.colnames]
+    there = [name for name in ("mjd", "time", "date") if name in tiling.table.colnames]
     if len(there) != 1:
         raise InputError(
             "tiles of a survey with cadences must have one of the columns time, date and mjd, got "
@@ -289,8 +283,8 @@ def days_of(tiling: Tiling) -> np.ndarray:
 
 def brightness_of(cadences: Cadences, tiling: Tiling) -> np.ndarray:
     """Return the sky brightness of each tile; 0 if the cadences do not limit it."""
-    name = next((one for one in ("skybrightness", "sky_brightness") if one in tiling.table.colnames), None)
-    if not any(np.isfinite(one[3]).any() for one in cadences._epochs):
+    name = next((name for name in ("skybrightness", "sky_brightness") if name in tiling.table.colnames), None)
+    if not any(np.isfinite(values[3]).any() for values in cadences._epochs):
         return np.zeros(len(tiling))
     if name is None:
         raise InputError(

@@ -56,7 +56,7 @@ Tiles of joint plans, and of earlier versions, do not have this count.
 """
 ALSO_SCIENCE = Count("n_also_science", ALSO, card="NALSOSCI", comment="science targets that also meet requirements")
 """Count of a tile if it is not 0; files of tiles of earlier versions do not have this count."""
-CARDS = {one.card for one in (*COUNTS, *MOTION, LOST_TO_RULES, ALSO_SCIENCE)}
+CARDS = {count.card for count in (*COUNTS, *MOTION, LOST_TO_RULES, ALSO_SCIENCE)}
 TILES = table_of(
     Column("tile", "identifier of the tile"),
     Column("ra", "right ascension of the field center (ICRS)", "deg"),
@@ -110,7 +110,7 @@ SURVEY_FACTS = (
     Fact("arm_model", "arm model", COLLISIONS, shown=lambda s: s.get("arm_model", "unknown")),
     Fact("collision_rate", "fraction of assigned and parked", COLLISIONS, zero=True),
     Fact("n_obstacle_collisions", "collisions with obstacles", COLLISIONS),
-    *(one for one in TILE_FACTS if one.name in ("n_unfolding_pairs", "n_needs_planner")),
+    *(fact for fact in TILE_FACTS if fact.name in ("n_unfolding_pairs", "n_needs_planner")),
     Fact("n_unmet", "unmet requirements, sum over tiles"),
     Fact("n_required_observed", "required targets observed", shown=required_of),
     Fact("outcomes", shown=lambda s: {f"targets {outcome}": n for outcome, n in s["outcomes"].items()}),
@@ -122,6 +122,6 @@ def survey_facts(survey) -> dict:
     """Return the labels and values of the numbers of a survey, and the number of targets with each outcome."""
     tiles, names = survey.tiles, np.asarray(survey.tiles["tile"])
     at_zero = (np.asarray(tiles["ra"]) == 0) & (np.asarray(tiles["dec"]) == 0)
-    found = {"without targets": np.isnan(tiles["completeness"]), "at ra 0, dec 0": at_zero}
-    unusual = {label: brief(tuple(names[rows].tolist())) for label, rows in found.items() if rows.any()}
+    is_unusual = {"without targets": np.isnan(tiles["completeness"]), "at ra 0, dec 0": at_zero}
+    unusual = {label: brief(tuple(names[rows].tolist())) for label, rows in is_unusual.items() if rows.any()}
     return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": unusual})

@@ -93,7 +93,7 @@ class Folder(RequestFolder):
             super()._open()
             return
         if self._begun:
-            undated = [one | {"planned": ""} for one in (load_request(self.path / self.request_name), self._request)]
+            undated = [req | {"planned": ""} for req in (load_request(self.path / self.request_name), self._request)]
             if undated[0] == undated[1]:
                 self._read()
             else:
@@ -134,7 +134,7 @@ class Folder(RequestFolder):
                     "(or --replan)"
                 )
             now |= self._for_tiles_of(before, now)
-            n, more = (number_in(str(one.get("tiles"))) for one in (before, now))
+            n, more = (number_in(str(request.get("tiles"))) for request in (before, now))
             try:
                 super()._compare(before, now)
             except InputError as error:
@@ -144,7 +144,7 @@ class Folder(RequestFolder):
         self._state.check_current()
         now["first"]["visits"] = before.get("first", before).get("visits")
         first, now_first = (
-            {k: v for k, v in one.items() if k != "visits"} for one in (before.get("first", {}), now["first"])
+            {k: v for k, v in request.items() if k != "visits"} for request in (before.get("first", {}), now["first"])
         )
         if not first:
             first = {name: before.get(name) for name in ("passes", "tiles")}
@@ -169,9 +169,9 @@ class Folder(RequestFolder):
     def _for_tiles_of(self, before: dict, now: dict) -> dict:
         """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""
         tiles = str(before.get("tiles"))
-        found = {} if tiles == now["tiles"] else self._of_first_tiles(tiles)
-        self._has_more_tiles = bool(found)
-        return json.loads(json.dumps(found))
+        entries = {} if tiles == now["tiles"] else self._of_first_tiles(tiles)
+        self._has_more_tiles = bool(entries)
+        return json.loads(json.dumps(entries))
 
     def _read(self):
         super()._read()
@@ -219,8 +219,8 @@ class Folder(RequestFolder):
 
     def put_table(self, name: str, table: QTable, cards: dict | None, title: str) -> None:
         """Write a table of the survey to a file; ``cards`` and ``title`` are those of `write_table`."""
-        with self.writing(name) as own:
-            write_table(table, own, cards=cards, name=title)
+        with self.writing(name) as temporary:
+            write_table(table, temporary, cards=cards, name=title)
 
     def finish(self) -> None:
         """Write the final index; a plan that was written beside the present plan then replaces it."""
@@ -262,7 +262,7 @@ def read_request(folder: Path) -> dict:
 def _check_entries(path: Path, request: dict) -> None:
     """Raise an error if entries of a request are missing or have other types; earlier versions wrote fewer entries."""
     needed = {"first": ["events"], "columns": ["given", "extra", "required_ids"]}
-    wrong = [name for one, names in needed.items() if one in request for name in names if name not in request]
+    wrong = [name for entry, names in needed.items() if entry in request for name in names if name not in request]
     wrong += [name for name, kind in ENTRIES.items() if not isinstance(request.get(name, kind()), kind)]
     if not wrong:
         about, required = {"n_files": 0, "digest": ""} | request.get("events", {}), request.get("required", [])
@@ -279,7 +279,7 @@ def read_stored_table(folder: Path, name: str, known: dict) -> QTable:
     check_file(folder, name, known)
     table = read_table(folder / name)
     _check_columns(folder / name, table.colnames, COLUMNS[name])
-    if name == TABLES[0] and not all(isinstance(table.meta.get(one), dict) for one in ("summary", "provenance")):
+    if name == TABLES[0] and not all(isinstance(table.meta.get(entry), dict) for entry in ("summary", "provenance")):
         raise InputError(f"{folder / name} must hold the summary and the provenance of a survey, got none")
     return table
 

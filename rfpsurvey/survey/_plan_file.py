@@ -225,27 +225,24 @@ def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **give
         time = partial(inputs.time_of_tiles, tiling, keys.epoch, keys.conditions)
         model = inputs.model_of(keys.instrument, time, tell=tell)
     catalog = given["catalog"] if "catalog" in given else targets_of(keys, model, tell=tell)
-    found = {name: getattr(keys, name) for name in ("epoch", "lost_in_collision", "order", "rng")} | given
-    found |= {"catalog": catalog, "instrument": model, "passes": given.get("passes", keys.tiles.passes)}
+    call = {name: getattr(keys, name) for name in ("epoch", "lost_in_collision", "order", "rng")} | given
+    call |= {"catalog": catalog, "instrument": model, "passes": given.get("passes", keys.tiles.passes)}
     if "allocator" not in given:
-        found["allocator"] = allocator_of(keys.options, keys.joint)
-    found["visits"] = visits_of(
-        keys, catalog, **{name: found.pop(name) for name in ("rule", "visits") if name in given}
-    )
-    found["tiles"] = inputs.tiles_under(tiles_of(tiling, catalog, model), keys.conditions)
-    return found
+        call["allocator"] = allocator_of(keys.options, keys.joint)
+    call["visits"] = visits_of(keys, catalog, **{name: call.pop(name) for name in ("rule", "visits") if name in given})
+    call["tiles"] = inputs.tiles_under(tiles_of(tiling, catalog, model), keys.conditions)
+    return call
 
 
 def check_inputs(folder: Path, request: dict) -> None:
     """Raise an error if the catalog, the tiles or the instrument of the plan file differ from a recorded request."""
     keys = keys_in(folder, ("allocator", "instrument", "visits", "rule"))
-    tiling = read_tiles(keys.tiles)
-    model = None
+    tiling, model = read_tiles(keys.tiles), None
     if "instrument" not in (keys.python or ()):
         model = inputs.model_of(keys.instrument, partial(inputs.time_of_tiles, tiling, keys.epoch, keys.conditions))
-        own = f"{model.name}, digest {model.provenance['digest']}"
-        if own != request.get("instrument"):
-            raise InputError(f"{folder / inputs.RECORD} must name the instrument of survey.json, got {own}")
+        present = f"{model.name}, digest {model.provenance['digest']}"
+        if present != request.get("instrument"):
+            raise InputError(f"{folder / inputs.RECORD} must name the instrument of survey.json, got {present}")
     catalog = targets_of(keys, model)
     rule = VisitRule() if "rule" in (keys.python or ()) else VisitRule(**keys.rule)
     check_first_catalog(request, catalog, _requested(keys), rule)
@@ -254,9 +251,9 @@ def check_inputs(folder: Path, request: dict) -> None:
     tiling = inputs.tiles_under(tiling, keys.conditions)
     if keys.tiles.passes is not None:
         tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
-    own, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
-    if own != recorded:
-        raise InputError(f"{folder / inputs.RECORD} must name the tiles of the first plan, {recorded}, got {own}")
+    present, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
+    if present != recorded:
+        raise InputError(f"{folder / inputs.RECORD} must name the tiles of the first plan, {recorded}, got {present}")
 
 
 def write_call(request, call: dict, folder: Path, place: Path) -> None:
@@ -301,13 +298,13 @@ def _values_of(request, call: dict, place: Path) -> tuple[dict, list[str]]:
         values["catalog.visits_table"] = _stored(place, "visits.fits", partial(write_table, table))
     elif visits is not None:
         values["catalog.visits"] = int(visits)
-    for found, name in (
+    for values_of_parameter, name in (
         (_rule_values(rule, place), "rule"),
         (_allocator_values(call["allocator"]), "allocator"),
         (_instrument_values(call["instrument"], place), "instrument"),
     ):
-        values |= {LACKING[name]: GIVEN} if found is None else found
-        lacking += [name] if found is None else []
+        values |= {LACKING[name]: GIVEN} if values_of_parameter is None else values_of_parameter
+        lacking += [name] if values_of_parameter is None else []
     values["tiles.path"] = _stored(place, "tiles.ecsv", partial(_write_tiles, as_tiling(call["tiles"])))
     return values, lacking
 
@@ -349,7 +346,7 @@ def _allocator_values(given: object) -> dict | None:
     if joint is not None:
         names = [name for name in _named(joint) if name not in ("allocator", "inform")]
         values |= {"options.allocator": JOINT, **{f"joint.{name}": _text_of(getattr(joint, name)) for name in names}}
-    try:
+    try:  # the values determine the allocator if the same options follow from them
         keys = build(SurveyKeys, values)
         again = as_joint(allocator_of(keys.options, keys.joint), "color")
     except InputError:
@@ -369,7 +366,7 @@ def _text_of(value: object) -> object:
     if isinstance(value, Survey):
         return str(value.folder)
     if isinstance(value, tuple):
-        return [circle_text(one) if isinstance(one, Region) else str(one) for one in value]
+        return [circle_text(item) if isinstance(item, Region) else str(item) for item in value]
     return value if isinstance(value, bool | int | float | str) else str(name_of(value) if callable(value) else value)
 
 
@@ -380,8 +377,8 @@ def _instrument_values(given: Instrument | str | os.PathLike, place: Path) -> di
     if not isinstance(given, Instrument):
         return {"instrument.name": str(Path(given).resolve())}
     preset, arm_model = {"instrument.name": given.name}, given.focal_plane.positioner.arm_model
-    found = [preset, preset | {"instrument.arm_model": arm_model}] if given.name in available_instruments() else []
-    for values in found:
+    candidates = [preset, preset | {"instrument.arm_model": arm_model}] if given.name in available_instruments() else []
+    for values in candidates:
         if inputs.model_of(build(SurveyKeys, values).instrument).provenance == given.provenance:
             return values
     try:

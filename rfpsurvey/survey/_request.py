@@ -144,8 +144,8 @@ class Request(FieldsOfTiles):
     @cached_property
     def provenance(self) -> dict:
         """Software versions, instrument, catalog, tiling and parameters of the survey."""
-        about, rules = self.tiling.table.meta, [one for one in self.options.all_constraints if isinstance(one, Rule)]
-        found = {
+        about, rules = self.tiling.table.meta, [rule for rule in self.options.all_constraints if isinstance(rule, Rule)]
+        entries = {
             "software": self.software,
             "instrument": self.instrument.provenance,
             "catalog": dict(self.source.meta),
@@ -156,7 +156,7 @@ class Request(FieldsOfTiles):
             "rule_columns": [name for rule in rules for name in rule.columns],
             **self._events,
         }
-        return json.loads(json.dumps(found, default=str))  # converts to types that all file formats support
+        return json.loads(json.dumps(entries, default=str))  # converts to types that all file formats support
 
     def check_text(self) -> None:
         """Raise an error if FITS files cannot contain an identifier or another text of the survey."""
@@ -188,16 +188,16 @@ class Request(FieldsOfTiles):
             "given": digest_of(self.given),
             "extra": extra_digest(self.given),
             "columns": column_digests(self.given, columns),
-            "required_ids": [str(one) for one in self.options.required_ids],
+            "required_ids": [str(target_id) for target_id in self.options.required_ids],
         }
 
     @property
     def _of_tiles(self) -> dict:
         """The entries of `identity` that can depend on the tiles."""
-        found = {"tiles": tiles_digest(self.tiling, self.conditions), **self.parameters}
+        entries = {"tiles": tiles_digest(self.tiling, self.conditions), **self.parameters}
         if self.cadences is not None:
-            found["dates"] = f"{number_of(len(self.days), 'tile')}, digest {digest(self.days, self.brightness)}"
-        return found
+            entries["dates"] = f"{number_of(len(self.days), 'tile')}, digest {digest(self.days, self.brightness)}"
+        return entries
 
     def of_first_tiles(self, tiles: str) -> dict:
         """Return the entries of `identity` for the first of the given tiles, which were planned before the others.
@@ -221,18 +221,19 @@ class Request(FieldsOfTiles):
         if not 0 < n < len(tiling):
             return {}
         number = _number_of(tiling, passes)
-        own, used = Tiling(tiling.table[:n]), [p for k, p in enumerate(passes) if k in number[:n]]
-        first = replace(self, tiling=own, number=_number_of(own, used), passes=used, state=None, first=(own, used))
-        if tiles_digest(own, first.conditions) != tiles:
+        head, used = Tiling(tiling.table[:n]), [p for k, p in enumerate(passes) if k in number[:n]]
+        first = replace(self, tiling=head, number=_number_of(head, used), passes=used, state=None, first=(head, used))
+        if tiles_digest(head, first.conditions) != tiles:
             return {}
         those = f"the {number_of(n, 'tile')} of the folder"
         if self.joint is not None and self.state is None:
             raise InputError(f"tiles of a joint plan, which are planned together, must be {those}, got {len(tiling)}")
-        when, what = (self.days, "MJD") if self.cadences is not None else (number, "pass")
-        early = when[n:] < when[:n].max() if self.cadences is not None else when[n:] <= when[:n].max()
-        if early.any() and (self.cadences is not None or self.order == "color"):
+        is_dated = self.cadences is not None
+        when, what = (self.days, "MJD") if is_dated else (number, "pass")
+        early = when[n:] < when[:n].max() if is_dated else when[n:] <= when[:n].max()
+        if early.any() and (is_dated or self.order == "color"):
             row = n + int(np.argmax(early))
-            got = when[row] if self.cadences is not None else passes[number[row]]
+            got = when[row] if is_dated else passes[number[row]]
             raise InputError(
                 f"further tiles must be planned after {those}, and therefore have a later {what}, got the {what} {got} "
                 f"for tile {self._names[row]}"
@@ -259,7 +260,7 @@ def tiles_digest(tiling: Tiling, conditions: list | None) -> str:
     tiles = [np.asarray(tiling.table[name].value, dtype=float) for name in columns]
     names = np.asarray(tiling.table["tile"]).astype(str)
     if conditions is not None:
-        tiles.append(np.array([str(one.record) for one in conditions]))
+        tiles.append(np.array([str(tile_conditions.record) for tile_conditions in conditions]))
     return f"{number_of(len(tiling), 'tile')}, digest {digest(*tiles, names)}"
 
 

@@ -19,6 +19,7 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     when = None if request.conditions is None else when_of(request.tiling.table)
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     sizes = [len(tiles) for tiles in request.rounds]
+    # the argsort of a permutation is its inverse, here from rows to places in the order of planning
     table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
     lacking = {name: values for name, values in counts.items() if isinstance(name, CountOfRule)}
     counts = {name: values for name, values in counts.items() if name not in lacking}
@@ -85,7 +86,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
         "arm_model": plane.positioner.arm_model,
         **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
-        **{one.name: total[one.name] for one in MOTION if one.name in total},
+        **{count.name: total[count.name] for count in MOTION if count.name in total},
         **{name: total[name] for name in (LOST, ALSO_SCIENCE.name) if total.get(name)},
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "collision_rate_assigned": total["n_colliding_assigned"] / max(total["n_assigned"], 1),
@@ -122,8 +123,7 @@ def completeness_table(request, state: Bookkeeping) -> QTable:
     Each pass has one row for all targets and, if there are several priorities or categories, one row for each of them.
     """
     n_tiles = np.cumsum(np.bincount(request.number, minlength=len(request.passes)))
-    names = ("n_targets", "n_requested", "n_observed", "n_complete")
-    rows = []
+    names, rows = ("n_targets", "n_requested", "n_observed", "n_complete"), []
     for k, number in enumerate(request.passes):
         for row in rows_by_class({column: tally.until(k) for column, tally in state.tallies.items()}):
             rows.append((number, n_tiles[k], *row, row[-2] / max(row[-3], 1)))

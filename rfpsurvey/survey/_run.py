@@ -32,8 +32,7 @@ def run(
 
     The function ``record`` writes the plan file for the folder of the survey, which is locked, to a second folder.
     """
-    joint = None
-    where = nullcontext()
+    joint, where = None, nullcontext()
     if path is not None:
         request.check_text()
         where = Folder(path, request, resume=resume)
@@ -41,11 +40,11 @@ def run(
         if folder is not None:
             record(folder.home, folder.path)
         n = len(request.tiling)
-        found = None if folder is None or folder.is_beside else read_finished(folder.path, request)
-        if found is not None:
+        finished_survey = None if folder is None or folder.is_beside else read_finished(folder.path, request)
+        if finished_survey is not None:
             with Progress(progress, n, "tiles") as tell:
                 tell(n, new=False)
-            return found
+            return finished_survey
         for text in early_sentences(request):
             warn(text)
         state = request.open_state()
@@ -102,20 +101,20 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
         elif not folder.has_part(tile, event.plan):
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
-            own = history.replayed.counts[tile]
-            found = counts_in(own, cards) | {"n_observed": own["n_good"]}
+            counts_of_tile = history.replayed.counts[tile]
+            counts_of_event = counts_in(counts_of_tile, cards) | {"n_observed": counts_of_tile["n_good"]}
         else:
             job, (visits, cards_of_plan) = request.job(tile, np.ones_like(state.left)), history.events.visits(event)
             done = done_of(visits, cards_of_plan, job, is_kept=True)
             if request.builder.lasting is not None:  # standards that are also science targets may spend no visit
-                others = visits["target_row"][~has_role(visits["kind"], "science")]
-                field = request.builder.in_other_roles(job.field, np.isin(job.field.row, others))
+                rows_of_others = visits["target_row"][~has_role(visits["kind"], "science")]
+                field = request.builder.in_other_roles(job.field, np.isin(job.field.row, rows_of_others))
                 job = job._replace(field=field)
             slot = np.append(job.field.slot, -1)[done.target]
             open_ = (slot < 0) | (state.left[slot] > 0)
-            found = done.counts
+            counts_of_event = done.counts
             state.enter(tile, job, done._replace(observed=done.observed & open_))
-        for name, value in found.items():
+        for name, value in counts_of_event.items():
             counts.setdefault(name, np.zeros(len(request.tiling), dtype=np.int64))[tile] = value
     return [*history.closed, *history.begun]
 
@@ -126,21 +125,21 @@ def _mark_reached(request, state) -> None:
     The marks of a tile are stored with the state of the survey, so that they are computed only once. Targets with
     successful visits are omitted, because their outcome does not depend on the marks.
     """
-    own, to_slots = request.state.replayed, request.source.to_slots
-    own.mark_for([request.instrument.provenance["digest"], request.parameters])
-    unseen = (own.made == 0).astype(np.uint8)
+    past, to_slots = request.state.replayed, request.source.to_slots
+    past.mark_for([request.instrument.provenance["digest"], request.parameters])
+    unseen = (past.made == 0).astype(np.uint8)
     added = unseen.copy()
-    added[: own.n_searched] = 0
-    for attempts, searched in ((own.attempts[: own.n_flagged], added), (own.attempts[own.n_flagged :], unseen)):
+    added[: past.n_searched] = 0
+    for attempts, searched in ((past.attempts[: past.n_flagged], added), (past.attempts[past.n_flagged :], unseen)):
         left = to_slots(searched)
         for event in attempts if searched.any() else ():
             if event.state == TileState.DONE:
                 job = request.job(event.row, left)
                 reach = reach_of(job)
-                own.flags[job.field.row] |= flags_of(reach.pairs.covered, reach.applied.excluded)
-    own.n_flagged, own.n_searched = len(own.attempts), len(unseen)
-    state.flags |= to_slots(own.flags)
-    state.flags[to_slots(own.made) > 0] |= DONE
+                past.flags[job.field.row] |= flags_of(reach.pairs.covered, reach.applied.excluded)
+    past.n_flagged, past.n_searched = len(past.attempts), len(unseen)
+    state.flags |= to_slots(past.flags)
+    state.flags[to_slots(past.made) > 0] |= DONE
 
 
 def _argument(folder, writes: bool, tile: int, job: Job) -> tuple[Job, Done | None]:

@@ -102,16 +102,17 @@ class Partitioned:
         parameters are those of `CatalogTargets.field`.
         """
         rest_rad, around_rad = more.get("rest_rad"), more.get("around_rad")
-        found, wider = [], more.get("margin_rad", 0.0) + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
+        fields, wider = [], more.get("margin_rad", 0.0) + self._margin_rad + max(rest_rad or 0.0, around_rad or 0.0)
         for k in self._parts.near(center, radius_rad + wider).tolist():
             first, last = self._first[k : k + 2]
-            own = None if always is None else always[first:last]
-            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, always=own, **more)
-            if len(field.row) or rest_rad is not None or around_rad is not None or not found:
-                found.append(field._replace(slot=field.row + first, row=field.row + first))
-        if not found:
+            kept = None if always is None else always[first:last]
+            field = self._part(k).field(center, radius_rad, left[first:last], by_row=True, always=kept, **more)
+            # a partition without targets of the field can contain targets that sky positions or constraints consider
+            if len(field.row) or rest_rad is not None or around_rad is not None or not fields:
+                fields.append(field._replace(slot=field.row + first, row=field.row + first))
+        if not fields:
             return self._part(0).field(center, 0.0, np.zeros(self._first[1], dtype=np.uint8), around_rad=around_rad)
-        slot, row, targets = zip(*found, strict=True)
+        slot, row, targets = zip(*fields, strict=True)
         return FieldRows(_stack(slot), _stack(row), _stack_targets(targets))
 
     def sum_near(self, centers: np.ndarray, radius_rad: float, values: np.ndarray) -> np.ndarray:

@@ -88,7 +88,7 @@ def read_finished(folder: Path, request: Request) -> Survey | None:
     """Return the survey in a folder; None if it is not finished, or if a file is missing or damaged."""
     known, state, tables = read_index(folder), request.state, [*_folder.TABLES, *[_folder.JOINT] * bool(request.joint)]
     # the index of a finished survey is sorted; later runs that plan a tile again add lines at the end
-    if list(known) != sorted(known) or any(len(one) > 1 for one in known.values()) or not {*tables} <= {*known}:
+    if list(known) != sorted(known) or any(len(entries) > 1 for entries in known.values()) or not {*tables} <= {*known}:
         return None
     if _damaged(folder, None if state is None else state.events)[0]:
         return None
@@ -192,19 +192,19 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     is_own = "events" not in request or "planned" in request or is_present(folder / EVENTS)
     chain = events or (check(EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
     events = chain or Events(folder)
-    own = {REQUEST, INDEX, LOCK, PLANS, GENERATIONS, CHECKPOINT, COPY, RECORD, *known}
-    own |= {f"{EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
+    belonging = {REQUEST, INDEX, LOCK, PLANS, GENERATIONS, CHECKPOINT, COPY, RECORD, *known}
+    belonging |= {f"{EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
     for name in (name for file in events.files for name in file.others):
-        own.add(f"{EVENTS}/{name}")
+        belonging.add(f"{EVENTS}/{name}")
         check(f"{EVENTS}/{name}", RESTORED, events.read_other, name)
     for event in TileStates(events.of_tiles()).attempts:
         check(_folder.part_name(event.row), CANCELED, events.plan, event.row, event.plan)
     plans = check(PLANS, RESTORED, read_plans, folder) or {}
     check(GENERATIONS, RESTORED, read_generations, folder)
-    replaced = {checksum for own_plans in plans.values() for checksum, _ in own_plans}
+    replaced = {checksum for plans_of_tile in plans.values() for checksum, _ in plans_of_tile}
     for name, plan in {(_folder.kept_name(plan), plan) for plan in replaced | {plan for _, plan in events.plans}}:
         if is_present(folder / name):
-            own.add(name)
+            belonging.add(name)
             check(name, RESTORED, _folder.read_named, folder / name, plan)
     if is_present(folder / CHECKPOINT):
         check(CHECKPOINT, MADE, checkpoint_of, folder)
@@ -212,29 +212,29 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
         check(PLANS, RESTORED, content_of, folder / PLANS)
     is_begun = any(name in known or is_present(folder / name) for name in _folder.TABLES)
     expected = {*known, *_folder.TABLES} if is_begun else {*known}
-    for name in sorted(one for one in expected if not one.startswith("tiles/")):
+    for name in sorted(name for name in expected if not name.startswith("tiles/")):
         check(name, MADE, check_file, folder, name, known)
     is_readable = is_begun and not damaged.keys() & {*_folder.TABLES, _folder.JOINT}
     survey = check(REQUEST, RESTORED, Survey.read, folder) if is_readable else None
     states, planned = {} if survey is None else dict(enumerate(survey._states)), []
     rows = {_folder.part_name(row): row for row, state in states.items() if state != TileState.DROPPED}
-    for name in sorted(one for one in {*known, *rows} if one.startswith("tiles/")):
+    for name in sorted(name for name in {*known, *rows} if name.startswith("tiles/")):
         if (row := rows.get(name)) is None:
             check(name, MADE, check_file, folder, name, known)
             continue
-        found = check(name, MADE, _observed, folder, row, known, survey.tiles["tile"][row])
-        planned += [found] if found is not None and states[row] != TileState.DONE else []
+        observed_rows = check(name, MADE, _observed, folder, row, known, survey.tiles["tile"][row])
+        planned += [observed_rows] if observed_rows is not None and states[row] != TileState.DONE else []
     if survey is not None and not damaged:
         check(_folder.TABLES[2], MADE, _check_outcomes, survey, planned, events)
         check(REQUEST, RESTORED, _check_request, survey, request)
     if is_verified and is_present(folder / RECORD):
         check(RECORD, GIVEN, check_inputs, folder, request)
-        own |= {str(path.relative_to(folder)) for path in (folder / INPUTS).glob("*")}
-    own |= {*expected, *rows, *damaged}
-    found = {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
-    not_known = tuple(name for name, one in ((EVENTS, chain), ("tiles", survey)) if one is None)
+        belonging |= {str(path.relative_to(folder)) for path in (folder / INPUTS).glob("*")}
+    belonging |= {*expected, *rows, *damaged}
+    present = {str(path.relative_to(folder)) for path in folder.rglob("*") if not path.is_dir()}
+    not_known = tuple(name for name, content in ((EVENTS, chain), ("tiles", survey)) if content is None)
     omitted = (*not_known, f"{NEXT}/")
-    others = {name for name in found - own if not name.startswith(omitted) and TEMPORARY_PREFIX not in name}
+    others = {name for name in present - belonging if not name.startswith(omitted) and TEMPORARY_PREFIX not in name}
     return damaged, sorted(others)
 
 

@@ -171,8 +171,8 @@ class Survey(Living):
 
     def _visits(self, k: int) -> QTable:
         if self._states[k] == "dropped":
-            others = [row for row, state in enumerate(self._states) if state != "dropped"]
-            return self._visits(others[0])[:0] if others else QTable()
+            planned_rows = [row for row, state in enumerate(self._states) if state != "dropped"]
+            return self._visits(planned_rows[0])[:0] if planned_rows else QTable()
         tile = self.tiles["tile"][k]
         rows = read_visits(self.folder, k, self._known, tile)[0] if self.parts is None else self.parts[k]
         table = QTable({"tile": np.full(len(rows), tile)})

@@ -44,65 +44,64 @@ def shortfall_cards(options: AllocationOptions) -> dict[str, tuple[CountOfRule, 
     The names of cards depend on the texts of constraints, so that files of tiles with other constraints are recognized.
     """
     cards, tags = {}, _tags([*map(str, options.counts), *map(str, options.constraints)])
-    for one in options.counts:
-        tag = tags[str(one)]
-        cards[f"MISS{tag}"] = CountOfRule(str(one), MISSING), "targets that a requirement lacks"
-        if one.maximum is not None:
-            cards[f"MORE{tag}"] = CountOfRule(str(one), EXCESS), "targets above the maximum of a requirement"
+    for requirement in options.counts:
+        tag = tags[str(requirement)]
+        cards[f"MISS{tag}"] = CountOfRule(str(requirement), MISSING), "targets that a requirement lacks"
+        if requirement.maximum is not None:
+            cards[f"MORE{tag}"] = CountOfRule(str(requirement), EXCESS), "targets above the maximum of a requirement"
     if options.required_ids:
         cards["MISSREQ"] = CountOfRule(REQUIRED, MISSING), "required targets of the field without a fiber"
     if options.keep_out:
         cards["VIOLKEEP"] = CountOfRule(KeepOut.name, VIOLATED), "violations of keep-out circles"
-    for one in options.constraints:
-        if one.uses_field:
-            tag = tags[str(one)]
-            cards[f"VIOL{tag}"] = CountOfRule(str(one), VIOLATED), "violations of a constraint"
-            if type(one).verdict is not Constraint.verdict:
-                cards[f"NOTC{tag}"] = CountOfRule(str(one), NOT_CHECKABLE), "1 if the constraint is not checkable"
+    for constraint in options.constraints:
+        if constraint.uses_field:
+            text = str(constraint)
+            cards[f"VIOL{tags[text]}"] = CountOfRule(text, VIOLATED), "violations of a constraint"
+            if type(constraint).verdict is not Constraint.verdict:
+                cards[f"NOTC{tags[text]}"] = CountOfRule(text, NOT_CHECKABLE), "1 if the constraint is not checkable"
     return cards
 
 
 def _tags(texts: list[str]) -> dict[str, str]:
     """Return four letters or digits for each text, which depend on the text; those of different texts are different."""
-    found: dict[str, str] = {}
-    for text in texts:
+    tags: dict[str, str] = {}  # FITS keywords, such as MISS and a tag, have at most eight characters
+    for text in dict.fromkeys(texts):
         number = zlib.crc32(text.encode())
-        while text not in found:
-            tag = "".join(TAG[number // 36**k % 36] for k in range(4))
-            if tag not in found.values():
-                found[text] = tag
+        while (tag := "".join(TAG[number // 36**k % 36] for k in range(4))) in tags.values():
             number += 1
-    return found
+        tags[text] = tag
+    return tags
 
 
 def counts_in(cards: dict[str, int], counted: dict[str, tuple[str | CountOfRule, str]]) -> dict[str | CountOfRule, int]:
     """Return the counts in the header cards of a tile; constraints that the tile did not have are not checkable."""
-    found = {}
+    counts = {}
     for card, (name, _) in counted.items():
-        found[name] = cards.get(card, int(is_unknown(name)))
+        counts[name] = cards.get(card, int(is_unknown(name)))
         if card not in cards and isinstance(name, CountOfRule):
-            found[name._replace(word=NOT_CHECKABLE)] = 1
-    return found
+            counts[name._replace(word=NOT_CHECKABLE)] = 1
+    return counts
 
 
 def shortfall_counts(plan: FieldPlan, options: AllocationOptions) -> dict[CountOfRule, int]:
     """Return the numbers of missing targets, of targets above maxima, and of violations, for the cards of a tile."""
-    found = {name: 0 for name, _ in shortfall_cards(options).values()}
-    if any(map(is_unknown, found)):
-        checked = [one for one in options.all_constraints if one.uses_field]
-        for one, verdict in zip(checked, plan.verdicts(), strict=True):
+    counts = {name: 0 for name, _ in shortfall_cards(options).values()}
+    if any(map(is_unknown, counts)):
+        checked = [constraint for constraint in options.all_constraints if constraint.uses_field]
+        for constraint, verdict in zip(checked, plan.verdicts(), strict=True):
             if verdict.verdict == NOT_CHECKABLE:
-                found[CountOfRule(str(one), NOT_CHECKABLE)] = 1
-    for one in plan.allocation.unmet:
-        what = REQUIRED if one.requirement is None else str(one.requirement)
-        found[CountOfRule(what, MISSING if one.requested > one.found else EXCESS)] += abs(one.requested - one.found)
+                counts[CountOfRule(str(constraint), NOT_CHECKABLE)] = 1
+    for lack in plan.allocation.unmet:
+        what = REQUIRED if lack.requirement is None else str(lack.requirement)
+        n_missing = lack.requested - lack.found
+        counts[CountOfRule(what, MISSING if n_missing > 0 else EXCESS)] += abs(n_missing)
     for text, sentences in plan.violations.items():
         name = CountOfRule(text, VIOLATED)
-        if name not in found:  # the count of keep-out circles has their name only
+        if name not in counts:  # the count of keep-out circles has their name only
             name = CountOfRule(text.partition(" ")[0], VIOLATED)
-        if name in found:
-            found[name] += len(sentences)
-    return found
+        if name in counts:
+            counts[name] += len(sentences)
+    return counts
 
 
 def texts_of(lacking: dict[CountOfRule, np.ndarray], *, unknown: bool = False) -> list[str]:
@@ -125,13 +124,13 @@ def rule_records(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray, kept
 
     Required targets are no constraint on a single tile, because later tiles can observe them.
     """
-    found, tiles = {}, tiles[kept]
+    verdicts_of, tiles = {}, tiles[kept]
     for name, values in lacking.items():
         if name.what != REQUIRED:
-            verdicts = found.setdefault(name.what, np.zeros((2, len(tiles)), dtype=bool))
+            verdicts = verdicts_of.setdefault(name.what, np.zeros((2, len(tiles)), dtype=bool))
             verdicts[int(is_unknown(name))] |= values[kept] > 0
     records = []
-    for what, (fails, unknown) in found.items():
+    for what, (fails, unknown) in verdicts_of.items():
         counts = {PASS: ~(fails | unknown), FAIL: fails, NOT_CHECKABLE: unknown}
         records.append({"rule": what, **{name: int(tiles_of.sum()) for name, tiles_of in counts.items()}})
         records[-1]["tiles"] = listed(tiles[fails].tolist(), MOST_TILES) if fails.any() else ""
@@ -140,11 +139,11 @@ def rule_records(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray, kept
 
 def sentences_of(lacking: dict[CountOfRule, np.ndarray], tiles: np.ndarray) -> list[str]:
     """Return a sentence for each requirement that tiles do not meet, which names the first of these tiles."""
-    found = []
+    sentences = []
     for name, values in lacking.items():
         rows = np.flatnonzero(values)
         if len(rows) and name.what != REQUIRED and not is_unknown(name):  # later tiles can observe required targets
             where = f"{len(rows)} of {number_of(len(tiles), 'tile')} ({listed(tiles[rows].tolist(), MOST_TILES)})"
             kind = "constraint" if name.word == VIOLATED else "requirement"
-            found.append(f"{kind} {name.text(int(values.sum()))} in {where}")
-    return found
+            sentences.append(f"{kind} {name.text(int(values.sum()))} in {where}")
+    return sentences

@@ -22,26 +22,12 @@ from rfpsurvey.survey._unmet import MOST_TILES, VIOLATED, CountOfRule, shortfall
 
 SEEN, REACHED, LOST_IN_COLLISION, DONE, EXCLUDED = 1, 2, 4, 8, 16
 """Flags that record in which fields and in reach of which positioners a target of a survey was."""
-VISITS_UNITS = {name: one.unit for name, one in VISITS_COLUMNS.items() if one.unit}
+VISITS_UNITS = {name: column.unit for name, column in VISITS_COLUMNS.items() if column.unit}
 
 
 @dataclass(frozen=True, eq=False)
 class Model:
-    """The data that all tiles of a survey share; each worker process unpacks these data only once.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The instrument.
-    options : AllocationOptions
-        Options of the allocation.
-    blank : BlankIds or None
-        Identifiers of blank sky positions; None if no blank sky positions are added.
-    lost_in_collision : bool
-        Whether a target counts as not observed if the arm at this target collides.
-    units : dict
-        Units of the additional columns of the catalog, by name.
-    """
+    """The data that all tiles of a survey share; each worker process unpacks these data only once."""
 
     instrument: Instrument
     options: AllocationOptions
@@ -51,7 +37,7 @@ class Model:
 
     @cached_property
     def _packed(self) -> bytes:
-        return pickle.dumps([getattr(self, one.name) for one in fields(self)], protocol=5)
+        return pickle.dumps([getattr(self, field_of_model.name) for field_of_model in fields(self)], protocol=5)
 
     def __reduce__(self):
         return _unpack, (self._packed,)
@@ -64,7 +50,7 @@ class Model:
         return tuple(cards.items())
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=4)  # the jobs of a worker share one object
 def _unpack(packed: bytes) -> Model:
     return Model(*pickle.loads(packed))
 
@@ -136,7 +122,7 @@ def work(job: Job) -> Done:
         of_kind = {kind: int(has_role(plan.kind, kind).sum()) for kind in KINDS}
     columns.update(plan.carried)
     report = plan.report
-    n_both = count_also_science(plan.kind, [one.what for one in model.options.counts])
+    n_both = count_also_science(plan.kind, [requirement.what for requirement in model.options.counts])
     counts = {
         "n_in_field": len(field.row),
         "n_reachable": plan.allocation.n_reachable,
@@ -190,7 +176,7 @@ def cards_of(options: AllocationOptions) -> dict[str, tuple[str | CountOfRule, s
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
     counts = (*COUNTS, *(MOTION if options.motion_law else ()), *([LOST_TO_RULES] if options.distributions else ()))
     counts += (ALSO_SCIENCE,) if options.counts else ()
-    cards = {one.card: (one.name, one.comment or one.text.removeprefix("number of ")) for one in counts}
+    cards = {count.card: (count.name, count.comment or count.text.removeprefix("number of ")) for count in counts}
     return cards | shortfall_cards(options)
 
 
@@ -225,8 +211,8 @@ def projection_of(job: Job):
 
 def early_sentences(request) -> list[str]:
     """Return a sentence for each constraint that tiles to be planned violate whichever targets they observe."""
-    found, n, state = {}, len(request.tiling), request.state
-    early = any(one.before_fibers for one in request.options.constraints)
+    texts_of_constraints, n, state = {}, len(request.tiling), request.state
+    early = any(constraint.before_fibers for constraint in request.options.constraints)
     known = () if state is None else {*state.closed, *state.begun}
     for tile in range(n) if early else ():
         if tile not in known:
@@ -234,10 +220,10 @@ def early_sentences(request) -> list[str]:
             model = job.model
             texts = early_violations(model.instrument, projection_of(job), model.options, job.field.targets)
             for name, sentences in texts.items():
-                found.setdefault(name, []).extend((job.tile, text) for text in sentences)
+                texts_of_constraints.setdefault(name, []).extend((job.tile, text) for text in sentences)
     return [
         f"{len(rows)} of {number_of(n, 'tile')} ({listed([tile for tile, _ in rows], MOST_TILES)}) cannot meet a "
         f"constraint, whichever targets they observe; tile {rows[0][0]}: {rows[0][1]}"
-        for rows in found.values()
+        for rows in texts_of_constraints.values()
         if rows
     ]

@@ -73,26 +73,24 @@ class ScoredConstraints:
         vectors = np.full((more, 3), np.nan) if projection is None else projection.unproject(sky, added["fiber_type"])
         finished = report, arms, owners, types, np.arange(n), vectors, sky
         violations, verdicts = self.applied.checks(*finished)
-        wrong = {one.requirement for one in lacking}
+        wrong = {shortfall.requirement for shortfall in lacking}
         numbers: dict = {}
         counts, kind = targets.verdicts(target_of), self.columns.kind
-        n_both = 0 if kind is None else count_also_science(kind, [one.what for one in self.options.counts])
-        for one in counts:
-            numbers.setdefault(one.rule, []).append(one.number)
-        unknown = "the plan does not have the kinds of its targets"
+        n_both = 0 if kind is None else count_also_science(kind, [count.what for count in self.options.counts])
+        for count in counts:
+            numbers.setdefault(count.rule, []).append(count.number)
+        unknown, constraints = "the plan does not have the kinds of its targets", self.options.all_constraints
         counts = [
-            one if self._knows(group.requirement.what) else one.unknown(unknown)
-            for one, group in zip(counts, targets.groups, strict=True)
+            count if self._knows(group.requirement.what) else count.unknown(unknown)
+            for count, group in zip(counts, targets.groups, strict=True)
         ]
         return {
-            "n_constraints": len(self.options.all_constraints),
-            "n_unmet": sum(
-                bool(violations.get(str(one)) or wrong & {*one.counts}) for one in self.options.all_constraints
-            ),
+            "n_constraints": len(constraints),
+            "n_unmet": sum(bool(violations.get(str(c)) or wrong & {*c.counts}) for c in constraints),
             "requirements": numbers,
             **({"n_also_science": n_both} if n_both else {}),
             "unmet": sentences(lacking) + [text for texts in violations.values() for text in texts],
-            "rules": [one.record for one in (*counts, *verdicts())],
+            "rules": [verdict.record for verdict in (*counts, *verdicts())],
         }
 
     def _knows(self, what: str) -> bool:
@@ -106,10 +104,10 @@ def _kinds_of(category: np.ndarray | None) -> np.ndarray | None:
     """Return the kinds of targets from categories such as ``sky_boss``; None if a category does not begin with one."""
     if category is None:
         return None
-    found = np.full(len(category), "", dtype="U8")
+    kinds = np.full(len(category), "", dtype="U8")
     for kind in KINDS:
-        found[np.char.startswith(category, kind)] = kind
-    return found if (found != "").all() else None
+        kinds[np.char.startswith(category, kind)] = kind
+    return kinds if (kinds != "").all() else None
 
 
 def find_constraints(
@@ -125,14 +123,16 @@ def find_constraints(
 ) -> ScoredConstraints:
     """Return the constraints on a plan; ``rows`` are the rows of the table of ``find`` that are scored."""
     options = AllocationOptions(constraints=given).for_instrument(instrument)
-    for one in options.all_constraints:
-        if projection is None and "obstacles" in one.parts:
+    for constraint in options.all_constraints:
+        if projection is None and "obstacles" in constraint.parts:
             raise InputError(
-                f"the constraint '{one}' can be checked only with positions on the sky: give positions='sky' (or "
-                "--positions sky)"
+                f"the constraint '{constraint}' can be checked only with positions on the sky: give "
+                "positions='sky' (or --positions sky)"
             )
-        if one.margin_rad and "exclusion" in one.parts and not isinstance(one, Rule):  # the verdict of a rule states it
-            warn(f"the constraint '{one}' is checked only with the targets that have a fiber; the table has no others")
+        # the verdicts of rules state the same
+        if constraint.margin_rad and "exclusion" in constraint.parts and not isinstance(constraint, Rule):
+            text = f"the constraint '{constraint}' is checked only with the targets that have a fiber"
+            warn(f"{text}; the table has no others")
     kind, category = (find.labels(role) for role in ("kind", "category"))
     kind = _kinds_of(category) if kind is None else to_kinds(kind, "kind", strict=False)
     priority = find.numbers("priority")

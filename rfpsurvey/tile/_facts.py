@@ -31,12 +31,12 @@ LEVELS = {
 
 def _of_kinds(summary: dict) -> dict:
     """Return the number of fibers on each kind of target, if there are several kinds."""
-    found, kinds = {}, summary.get("kinds", {}) if summary.get("n_assigned") else {}
+    counts_of, kinds = {}, summary.get("kinds", {}) if summary.get("n_assigned") else {}
     for kind, counts in kinds.items() if len(kinds) > 1 else ():
-        found[KINDS[kind]] = counts["n_assigned"]
+        counts_of[KINDS[kind]] = counts["n_assigned"]
         if "n_also_science" in counts:  # these fibers cost no science target
-            found[f"  that are science targets ({kind})"] = counts["n_also_science"]
-    return found
+            counts_of[f"  that are science targets ({kind})"] = counts["n_also_science"]
+    return counts_of
 
 
 def _moving(name: str):
@@ -65,13 +65,13 @@ def _checked(summary: dict) -> dict:
     """Return how many constraints that a score checked are not met, and the number of targets of each requirement."""
     if "n_constraints" not in summary:
         return {}
-    found = {"constraints not met": f"{summary['n_unmet']} of {summary['n_constraints']}"}
+    facts = {"constraints not met": f"{summary['n_unmet']} of {summary['n_constraints']}"}
     for text, numbers in summary["requirements"].items():
         low, high = min(numbers), max(numbers)
-        found[f"  targets that {text} counts"] = low if low == high else f"{low} to {high}"
+        facts[f"  targets that {text} counts"] = low if low == high else f"{low} to {high}"
     if "n_also_science" in summary:
-        found["  that are also science targets"] = summary["n_also_science"]
-    return found
+        facts["  that are also science targets"] = summary["n_also_science"]
+    return facts
 
 
 ALL, LOST, RATE = "n_positioners", "n_colliding", "collision_rate_assigned"
@@ -135,19 +135,19 @@ def rules_of_tile(rules: QTable) -> list[dict]:
     """Return the verdicts as dicts; one dict stands for many rows that differ in the number and the place."""
     groups: dict[tuple, list] = {}
     for row in rules:
-        one = dict(zip(rules.colnames, row, strict=True))
-        groups.setdefault(tuple(one[name] for name in ("rule", "limit", "verdict")), []).append(one)
-    found = []
+        verdict = dict(zip(rules.colnames, row, strict=True))
+        groups.setdefault(tuple(verdict[name] for name in ("rule", "limit", "verdict")), []).append(verdict)
+    verdicts = []
     for rows in groups.values():
-        found += rows if len(rows) <= MOST_ROWS else [_merged(rows)]
-    return found
+        verdicts += rows if len(rows) <= MOST_ROWS else [_merged(rows)]
+    return verdicts
 
 
 def _merged(rows: list[dict]) -> dict:
     """Return one verdict for many rows, with the largest and smallest number, and the first places."""
-    low, high = min(one["number"] for one in rows), max(one["number"] for one in rows)
-    notes = f"{len(rows)} times: {listed(filter(None, (one['note'] for one in rows)), 3)}"
-    fibers = " ".join(filter(None, (one["fibers"] for one in rows)))
+    low, high = min(row["number"] for row in rows), max(row["number"] for row in rows)
+    notes = f"{len(rows)} times: {listed(filter(None, (row['note'] for row in rows)), 3)}"
+    fibers = " ".join(filter(None, (row["fibers"] for row in rows)))
     return rows[0] | {"number": low, "note": notes if low == high else f"to {high:.6g}; {notes}", "fibers": fibers}
 
 
@@ -161,15 +161,15 @@ def tile_objectives(tile: Tile, most: int) -> list[tuple[str, float, str]]:
     objectives = tile.summary.get("objectives", [])
     if len(objectives) < 2:
         return []
-    shown, rest, totals = split_objectives(objectives, most)
-    found = [_objective(*one) for one in shown]
-    if rest:
+    shown, summed, totals = split_objectives(objectives, most)
+    listed_objectives = [_objective(*objective) for objective in shown]
+    if summed:
         # the last class in a summary can itself be the sum of many classes
-        last, _, words = rest[-1][0].partition(" ")
-        n_classes = len(rest) - 1 + (int(last) if words == "more classes" else 1)
-        value = round(sum(abs(value) for _, value, _ in rest))
-        found.append((number_of(n_classes, "more class", "more classes"), value, ""))
-    return found + [_objective(*one) for one in totals]
+        last, _, words = summed[-1][0].partition(" ")
+        n_classes = len(summed) - 1 + (int(last) if words == "more classes" else 1)
+        value = round(sum(abs(value) for _, value, _ in summed))
+        listed_objectives.append((number_of(n_classes, "more class", "more classes"), value, ""))
+    return listed_objectives + [_objective(*objective) for objective in totals]
 
 
 def split_objectives(objectives: list, most: int) -> tuple[list, list, list]:
@@ -178,7 +178,7 @@ def split_objectives(objectives: list, most: int) -> tuple[list, list, list]:
     The list has at most ``most`` items. The number of targets of any kind and the sum of the subpriorities, which
     include all classes, are its last items.
     """
-    totals = [one for one in objectives[-2:] if one[0] in (TOTAL, SUM)]
+    totals = [objective for objective in objectives[-2:] if objective[0] in (TOTAL, SUM)]
     classes = objectives[: len(objectives) - len(totals)]
     n = len(classes) if len(objectives) <= most else most - 1 - len(totals)
     return classes[:n], classes[n:], totals
@@ -241,7 +241,7 @@ def build_tile(
             "min_separation_mm": float(plane.arrays.separation),
             "arm_model": plane.positioner.arm_model,
             "obstacles_mm": plane.arrays.obstacles.tolist(),
-            "obstacle_polygons_mm": [one.tolist() for one in plane.arrays.obstacle_polygons],
+            "obstacle_polygons_mm": [polygon.tolist() for polygon in plane.arrays.obstacle_polygons],
             **({} if plane.positioner.outline is None else {"outline_mm": plane.positioner.outline.to_dict()}),
         },
     }
@@ -258,13 +258,13 @@ def _one_or_all(values):
 @cache
 def versions() -> dict:
     """Return the versions of Python and of the packages on which results depend."""
-    found = {"python": sys.version.split()[0]}
+    found_versions = {"python": sys.version.split()[0]}
     for name in ("rfpsurvey", "astropy", "numpy", "numba", "scipy"):
         try:
-            found[name] = version(name)
+            found_versions[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "unknown"
-    return found
+            found_versions[name] = "unknown"
+    return found_versions
 
 
 def model_sentence(instrument: Instrument, posed: Arms | None = None, projection: str = "radial") -> str:

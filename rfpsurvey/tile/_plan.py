@@ -149,26 +149,26 @@ def plan_tile(
     plain, chosen = choose_projection(instrument, plane, conditions, projection)
     options = asked.for_instrument(instrument)
     warn_of_unused_options([asked], instrument.focal_plane, rng)
-    everything, radius = catalog, field_radius_rad(instrument, plain)
+    whole_catalog, radius = catalog, field_radius_rad(instrument, plain)
     warn_of_lacks(asked, partial(getattr, catalog))  # not of those of the instrument
-    margin = max([one.margin_rad for one in options.all_constraints] + [separation_rad(options, instrument) or 0.0])
+    margin = max([separation_rad(options, instrument) or 0.0, *(c.margin_rad for c in options.all_constraints)])
     used, moved = choose_epoch(catalog, epoch, None if conditions is None else conditions.time)
     if used is not None:
         near = catalog.arrays.rows_near(center, radius + margin, used)
         catalog = catalog[near].at_epoch(used)
     rows = catalog.arrays.rows_within(center, radius)
     if len(rows) == 0:
-        nearest = everything.coord.icrs.separation(center.icrs).min().deg
+        nearest = whole_catalog.coord.icrs.separation(center.icrs).min().deg
         raise InputError(
             f"no target lies within {instrument.field_radius:.4g} of the field center "
             f"({center.icrs.to_string('hmsdms', precision=0)}); the nearest is {nearest:.4g} deg away"
-            f"{_hint_of_hours(everything.coord.icrs, center, radius)}"
+            f"{_hint_of_hours(whole_catalog.coord.icrs, center, radius)}"
         )
     outside = np.setdiff1d(catalog.arrays.rows_within(center, radius + margin), rows) if margin else rows[:0]
     wider = np.append(rows, outside)
     vectors = catalog.arrays.vectors.take(wider, axis=0)
     selected = SelectedRows(wider if used is None else near[wider], vectors, radius, len(rows))
-    source = CatalogTargets(everything, selected)
+    source = CatalogTargets(whole_catalog, selected)
     builder = FieldBuilder(source, options, instrument)
     slot, _, targets = builder.field(to_vectors(center, "center", scalar=True)[0], radius)
     if len(slot) == 0:
@@ -203,8 +203,8 @@ def plan_tile(
     if options.method.uses_priorities and (text := _lost_class(allocation, targets.columns)):
         warn(text)
     summary = {
-        "n_targets": len(everything) + everything.n_dropped,
-        "n_dropped": everything.n_dropped,
+        "n_targets": len(whole_catalog) + whole_catalog.n_dropped,
+        "n_dropped": whole_catalog.n_dropped,
         "n_in_field": len(rows),
         "n_set_aside": len(rows) - len(slot),
         "n_reachable": allocation.n_reachable,
@@ -212,7 +212,7 @@ def plan_tile(
         "gap": _known(allocation.gap),
         "kinds": kinds,
         **({"n_lost_to_rules": n_lost} if n_lost else {}),
-        **({"rules": [one.record for one in verdicts]} if verdicts else {}),
+        **({"rules": [verdict.record for verdict in verdicts]} if verdicts else {}),
         "n_required": builder.n_required,
         "n_required_observed": _n_required_observed(plan, targets.columns.is_required),
         "unmet": sentences(allocation.unmet) + [text for texts in plan.violations.values() for text in texts],
@@ -285,8 +285,8 @@ def _n_required_observed(plan: FieldPlan, is_required: np.ndarray | None) -> int
 def _objectives(levels: list) -> list:
     """Return the name, value and bound of each objective; one item can be the sum of many classes."""
     rows = [[level.name, level.value, _known(level.bound)] for level in levels]
-    shown, rest, totals = split_objectives(rows, MOST_OBJECTIVES)
-    more = [[f"{len(rest)} more classes", sum(value for _, value, _ in rest), None]] if rest else []
+    shown, summed, totals = split_objectives(rows, MOST_OBJECTIVES)
+    more = [[f"{len(summed)} more classes", sum(value for _, value, _ in summed), None]] if summed else []
     return [*shown, *more, *totals]
 
 

@@ -87,31 +87,31 @@ def _angles(find, owner, has_target, n) -> np.ndarray | None:
         known &= has_target | np.isin(to_plain(table["status"]), ("recorded", "disabled"))
     rows = np.flatnonzero(known)
     rows = rows[np.argsort(has_target[rows], kind="stable")]  # of several rows, the last one determines the angles
-    found = np.full((2, n), np.nan)
-    found[:, owner[rows]] = given[:, rows]
-    return found
+    angles = np.full((2, n), np.nan)
+    angles[:, owner[rows]] = given[:, rows]
+    return angles
 
 
 def _consistent(angles, instrument, places, types) -> np.ndarray | None:
     """Return angles without those that disagree with the positions of the targets; None if most of them disagree."""
     plane = instrument.focal_plane
-    own = np.flatnonzero(np.isfinite(angles).all(axis=0) & np.isfinite(places).all(axis=1) & plane.arrays.usable)
-    if len(own) == 0:
+    placed = np.flatnonzero(np.isfinite(angles).all(axis=0) & np.isfinite(places).all(axis=1) & plane.arrays.usable)
+    if len(placed) == 0:
         return angles
-    away = np.hypot(*(plane.forward(*(angles * u.rad), types).to_value(u.mm) - places)[own].T)
+    away = np.hypot(*(plane.forward(*(angles * u.rad), types).to_value(u.mm) - places)[placed].T)
     differs = away > TOLERANCE_MM
     if not differs.any():
         return angles
-    most = 2 * differs.sum() > len(own)
+    most = 2 * differs.sum() > len(placed)
     text = "the recorded angles are not used" if most else "the positions determine the poses of these arms"
     remedy = "check that the instrument is the one for which the plan was made"
     if instrument.layout == "nominal":
         remedy = "the arms are nominal: score the plan with the instrument as built"
     warn(
-        f"the recorded joint angles of {differs.sum()} of {len(own)} positioners with a target place the fiber more "
+        f"the recorded joint angles of {differs.sum()} of {len(placed)} positioners with a target place the fiber more "
         f"than {TOLERANCE_MM:g} mm from the target (median {np.nanmedian(away):.3g} mm); {text}; {remedy}"
     )
-    return None if most else np.where(np.isin(np.arange(len(places)), own[differs]), np.nan, angles)
+    return None if most else np.where(np.isin(np.arange(len(places)), placed[differs]), np.nan, angles)
 
 
 def _handedness(angles, plane, tips, types) -> np.ndarray:
@@ -124,7 +124,7 @@ def _handedness(angles, plane, tips, types) -> np.ndarray:
 
 def _angles_of_positions(find, owner, has_target, plane) -> np.ndarray:
     """Return the joint angles (radians) that place fibers without a target at their recorded positions."""
-    table, found = find.table, np.full((2, len(plane)), np.nan)
+    table, idle_angles = find.table, np.full((2, len(plane)), np.nan)
     points = np.column_stack([to_plain(table[name].to(u.mm)) for name in ("x", "y")])
     labels = np.asarray(table["fiber_type"]).astype(str)
     known = (owner >= 0) & ~has_target & np.isfinite(points).all(axis=1)
@@ -136,16 +136,16 @@ def _angles_of_positions(find, owner, has_target, plane) -> np.ndarray:
         xy = np.full((len(plane), 2), np.nan)
         xy[owner[rows]] = points[rows]
         angles = np.array([angle.to_value(u.rad) for angle in plane.inverse(xy * u.mm, name)])
-        found = np.where(np.isfinite(found), found, angles)
-    return found
+        idle_angles = np.where(np.isfinite(idle_angles), idle_angles, angles)
+    return idle_angles
 
 
 def on_focal_plane(find: Finder, names: list, n: int, who: np.ndarray) -> np.ndarray:
     """Return the recorded positions of the targets in mm, one row for each positioner; NaN if there are none."""
-    found = np.full((n, 2), np.nan)
+    positions = np.full((n, 2), np.nan)
     if None not in names:
-        found[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
-    return found
+        positions[who] = np.column_stack([find.quantity(role).to_value(u.mm) for role in ("x", "y")])
+    return positions
 
 
 def sky_deg_of(find: Finder) -> np.ndarray:
@@ -221,11 +221,11 @@ def read_positions(find: Finder, xy_names: list, who: np.ndarray, n: int, given:
 def _catalog(part: Table, columns: dict, units: dict | None) -> tuple[Catalog, np.ndarray]:
     """Return the assigned rows with finite coordinates as a catalog, and the numbers of these rows."""
     # added sky positions have no priority, which a score does not use
-    found = read_columns(part, columns, units, "icrs", {"priority": 0.0}, None, assume_units=False)
-    place = to_direction(found["coord"]).data
+    values = read_columns(part, columns, units, "icrs", {"priority": 0.0}, None, assume_units=False)
+    place = to_direction(values["coord"]).data
     with warnings.catch_warnings():
         warnings.filterwarnings("ignore", ".*have no finite coordinates", RfpsurveyWarning)  # `_placed` names the rows
-        catalog = Catalog(**found)
+        catalog = Catalog(**values)
     return catalog, np.flatnonzero(np.isfinite(place.lon.value) & np.isfinite(place.lat.value))
 
 
@@ -280,9 +280,9 @@ def field_value(table, what: str) -> float:
             return float(values[0])
         if name in meta:
             return float(_degrees(meta[name], name))
-    own = recorded_projection(table)
-    if OWN[what] in own:
-        return float(own[OWN[what]])
+    recorded = recorded_projection(table)
+    if OWN[what] in recorded:
+        return float(recorded[OWN[what]])
     option = "--position-angle" if what == "position angle" else "--center"
     raise InputError(
         f"the {what} of the field must be given ({option}), or be in a column or meta entry "

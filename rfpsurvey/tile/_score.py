@@ -134,7 +134,7 @@ def score_tile(
     knows_field = isinstance(table, Tile)
     table, is_plain = as_table(table.table if knows_field else table, index_as_id=False)
     parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
-    columns, units = ({} if one is None else one for one in (columns, units))
+    columns, units = ({} if option is None else option for option in (columns, units))
     if is_plain and isinstance(units, dict):
         units = {**{role: str(unit) for role, unit in UNITS.items()}, **units}
     if center is not None and equinox is not None:
@@ -170,17 +170,17 @@ def score_tile(
     parameters |= more
     n, n_rows = len(plane), len(rows)
     has_places = positions == "focal_plane" or is_plan(table) or _is_ours(table)
-    own = on_focal_plane(find, xy_names if has_places else [None], n, who)
+    recorded_xy = on_focal_plane(find, xy_names if has_places else [None], n, who)
     keep = _placed(np.isfinite(xy).all(axis=1), rows, part[name], len(table), skip=missing == "skip")
     part, rows, who, ids, fibers, xy = part[keep], rows[keep], who[keep], ids[keep], fibers[keep], xy[keep]
     sky_deg = sky_deg[:, keep]
     if constraints is not None:
         checked = find_constraints(constraints, instrument, plain, others, keep, ids, sky_deg, xy, fibers)
         instrument, plane = checked.applied.instrument, checked.applied.instrument.focal_plane
-        parameters["constraints"] = [str(one) for one in checked.options.all_constraints]
+        parameters["constraints"] = [str(constraint) for constraint in checked.options.all_constraints]
     tips, target_of, types = _by_positioner(plane, who, xy, fibers)
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, own, types, tips)
+    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, recorded_xy, types, tips)
     if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
         warn_of_parked(plane)
     stuck = np.empty(0, dtype=int)
@@ -261,9 +261,9 @@ def _by_positioner(plane: FocalPlane, who: np.ndarray, xy: np.ndarray, fibers: n
 
 def _within_margins(plane, who, xy, fibers, posed) -> int:
     """Return the number of targets that their positioners reach, but that a plan with margins would not assign."""
-    pairs = [one.arrays.reach(xy, fibers) for one in (plane, replace(plane, margins=None))]
+    pairs = [limited.arrays.reach(xy, fibers) for limited in (plane, replace(plane, margins=None))]
     key = np.arange(len(who)) * len(plane) + who
-    kept, reached = (np.isin(key, one.target * len(plane) + one.owner) for one in pairs)
+    kept, reached = (np.isin(key, reach.target * len(plane) + reach.owner) for reach in pairs)
     return int((reached & ~kept & ~posed.clipped[who]).sum())
 
 

@@ -90,7 +90,7 @@ class TableOfTile:
             partners.setdefault(j, []).append(str(ids[i]))
         for i, j in self.report.obstacle_pairs.tolist():
             partners.setdefault(i, []).append(f"obstacle-{j}")
-        texts = [" ".join(found) for found in partners.values()]
+        texts = [" ".join(names) for names in partners.values()]
         column = np.full(len(ids), "", dtype=f"U{max(map(len, texts), default=1)}")
         column[list(partners)] = texts
         return column
@@ -266,8 +266,8 @@ class TargetsOfField:
         """Return a table of the positioners without a target, and a table of the free targets that they can reach."""
         plan = self.plan
         law = "" if plan.report.motion is None else plan.report.motion.law
-        found = find_idle_reasons(plan.instrument.focal_plane, plan.allocation, plan.arms, law)
-        return idle_tables(found, self, plan.instrument.focal_plane.id)
+        reasons = find_idle_reasons(plan.instrument.focal_plane, plan.allocation, plan.arms, law)
+        return idle_tables(reasons, self, plan.instrument.focal_plane.id)
 
     def table(self) -> QTable:
         """Return a table with a row for each target; its columns have units."""
@@ -281,16 +281,16 @@ def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
     if it is assigned and not lost to a collision.
     """
     free = ~plan.report.in_collision[plan.positioner]
-    found = {}
+    counts_of_kind = {}
     for kind in KINDS:
         is_kind, kinds = has_role(plan.kind, kind), catalog.kind
         n_in_field = len(rows) * (kind == "science") if kinds is None else has_role(kinds[rows], kind).sum()
         counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
-        if (both := is_kind & has_role(plan.kind, "science")).any() and kind != "science":
-            counts["n_also_science"] = both.sum()
+        if (is_also_science := is_kind & has_role(plan.kind, "science")).any() and kind != "science":
+            counts["n_also_science"] = is_also_science.sum()
         if kind == "science" or any(counts.values()):
-            found[kind] = {name: int(number) for name, number in counts.items()}
-    return found
+            counts_of_kind[kind] = {name: int(number) for name, number in counts.items()}
+    return counts_of_kind
 
 
 def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
@@ -301,8 +301,8 @@ def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict
     if len(plan.target) == 0:
         return {}
     given = (row_of >= 0) & (plan.target >= 0)[row_of]
-    found = {name: only_with_target(values[row_of], given) for name, values in plan.carried.items()}
-    return {name: with_unit(values, catalog.arrays.extra_units.get(name)) for name, values in found.items()}
+    carried = {name: only_with_target(values[row_of], given) for name, values in plan.carried.items()}
+    return {name: with_unit(values, catalog.arrays.extra_units.get(name)) for name, values in carried.items()}
 
 
 def completeness_table(outcomes: QTable, kinds: dict) -> QTable:
@@ -342,26 +342,26 @@ def completeness_table(outcomes: QTable, kinds: dict) -> QTable:
     return describe(QTable(rows=rows, names=list(COMPLETENESS)), COMPLETENESS)
 
 
-def idle_tables(found: IdleReasons, targets: TargetsOfField, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
+def idle_tables(idle: IdleReasons, targets: TargetsOfField, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
     """Return a table of the positioners without a target, and a table of their free targets in reach."""
     # for each positioner and free target, the arms and obstacles that block the arm, in one set for each handedness
     pairs: dict[tuple[int, int], list[set[int]]] = {}
-    for own, target, others in zip(found.owner.tolist(), found.target.tolist(), found.blocked_by, strict=True):
-        pairs.setdefault((own, target), []).append(set(others))
-    blockers: dict[int, set[int]] = {own: set() for own in found.positioner.tolist()}
+    for positioner, target, others in zip(idle.owner.tolist(), idle.target.tolist(), idle.blocked_by, strict=True):
+        pairs.setdefault((positioner, target), []).append(set(others))
+    blockers: dict[int, set[int]] = {positioner: set() for positioner in idle.positioner.tolist()}
     n_possible = dict.fromkeys(blockers, 0)
-    for (own, _), attempts in pairs.items():
-        blockers[own].update(*attempts)
-        n_possible[own] += not all(attempts)
-    table = QTable({"id": positioner_id[found.positioner]})
-    table["reason"] = np.array(IDLE_REASONS)[found.reason]
-    table["n_in_reach"], table["n_free"] = found.n_in_reach, found.n_free
+    for (positioner, _), attempts in pairs.items():
+        blockers[positioner].update(*attempts)
+        n_possible[positioner] += not all(attempts)
+    table = QTable({"id": positioner_id[idle.positioner]})
+    table["reason"] = np.array(IDLE_REASONS)[idle.reason]
+    table["n_in_reach"], table["n_free"] = idle.n_in_reach, idle.n_free
     table["n_possible"] = np.array(list(n_possible.values()), dtype=int)
     table["colliding_with"] = _texts(blockers.values(), positioner_id)
-    own, target = np.array(list(pairs), dtype=int).reshape(-1, 2).T
+    positioner, target = np.array(list(pairs), dtype=int).reshape(-1, 2).T
     row = targets.given[target]
-    free = QTable({"id": positioner_id[own], "target_id": targets.target_id[row]})
-    free["x"], free["y"] = (with_unit(one, "mm") for one in targets.xy_mm[row].T)
+    free = QTable({"id": positioner_id[positioner], "target_id": targets.target_id[row]})
+    free["x"], free["y"] = (with_unit(coordinates, "mm") for coordinates in targets.xy_mm[row].T)
     if "kind" in targets.columns:
         free["kind"] = targets.columns["kind"][row]
     free["possible"] = np.array([not all(attempts) for attempts in pairs.values()], dtype=bool)
@@ -369,7 +369,7 @@ def idle_tables(found: IdleReasons, targets: TargetsOfField, positioner_id: np.n
     return describe(table, IDLE_COLUMNS), describe(free, IDLE_COLUMNS)
 
 
-def _texts(groups, positioner_id) -> np.ndarray:
+def _texts(groups, ids) -> np.ndarray:
     """Return the identifiers of positioners and obstacles as text, separated by spaces."""
-    names = [" ".join(str(positioner_id[k]) if k >= 0 else f"obstacle-{-1 - k}" for k in sorted(one)) for one in groups]
+    names = [" ".join(str(ids[k]) if k >= 0 else f"obstacle-{-1 - k}" for k in sorted(rows)) for rows in groups]
     return np.array(names, dtype=str)

@@ -121,8 +121,8 @@ class Tile:
         The column ``verdict`` contains ``pass``, ``fail`` or ``not checkable`` (the plan lacks the data of the
         constraint). None if there are no constraints.
         """
-        found = self.summary.get("rules")
-        return None if found is None else verdict_table(found)
+        records = self.summary.get("rules")
+        return None if records is None else verdict_table(records)
 
     @property
     def instrument(self) -> str:

@@ -156,7 +156,7 @@ def _two(limits):
     except INCONVERTIBLE:
         text = "declination must be two angles, the lower and the upper limit"
         raise refusal(text, limits, list, tuple, u.Quantity) from None
-    low, high = (float(to_unit(one, u.deg, "declination")) for one in (low, high))
+    low, high = (float(to_unit(angle, u.deg, "declination")) for angle in (low, high))
     if not -90 <= low <= high <= 90:
         raise InputError(
             f"declination must be a lower and an upper limit from -90 to 90 deg, got {low:g} and {high:g} deg"

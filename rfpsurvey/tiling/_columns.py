@@ -96,12 +96,12 @@ def read_angles(table: Table, names: dict[str, str], units: dict | None, *, sile
         raise refusal("units must be a dict from role to unit", units, dict)
     for role in units:
         check_choice(role, ANGLES, "column role with a unit")
-    found, assumed = {}, []
+    angles, assumed = {}, []
     has_units = Finder(table, {role: names[role] for role in ("ra", "dec")}).has_units(("ra", "dec"))
     for role in (role for role in ANGLES if role in names):
         # `Finder` supports only the columns of a catalog; therefore, its role "ra" is used for every angle
         find = Finder(table, {"ra": names[role]}, {"ra": units[role]} if role in units else {}, assume_units=True)
-        found[role] = find.quantity("ra")
+        angles[role] = find.quantity("ra")
         if find.assumed and role != "position_angle":
             assumed.append(names[role])
             if has_units:
@@ -114,7 +114,7 @@ def read_angles(table: Table, names: dict[str, str], units: dict | None, *, sile
             f"the centers of tiles have no units: the assumed unit of {' and '.join(assumed)} is deg; to use other "
             "units, give units= or --set tiles.units.ra=UNIT"
         )
-    return found
+    return angles
 
 
 def warn_of_targets(tiling, n_targets: int) -> None:
@@ -128,9 +128,9 @@ def warn_of_targets(tiling, n_targets: int) -> None:
     columns += [name for name in tiling.table.colnames if name not in COLUMNS]
     if any(OF_TILES.fullmatch(name.lower()) for name in columns):
         return
-    found = [name for name in columns if OF_TARGETS.fullmatch(name.lower())]
-    if found or len(tiling) > max(MANY, n_targets):
-        columns = ", ".join(found[:3] or columns[:5])
+    target_names = [name for name in columns if OF_TARGETS.fullmatch(name.lower())]
+    if target_names or len(tiling) > max(MANY, n_targets):
+        columns = ", ".join(target_names[:3] or columns[:5])
         warn(
             f"the {number_of(len(tiling), 'row')} of a table with the columns {columns} are taken as centers of tiles, "
             "one tile per row; if they are targets, give a list of tiles instead (see place_tiles or 'rfpsurvey tile')"
@@ -140,9 +140,9 @@ def warn_of_targets(tiling, n_targets: int) -> None:
 def warn_of_programs(tiling) -> None:
     """Warn if the tiles belong to several programs, such as DARK and BRIGHT of DESI, which the plan does not use."""
     name = next((name for name in tiling.table.colnames if name.lower() == "program"), None)
-    found = [] if name is None else np.unique(to_labels(tiling.table[name], f"column {name!r}")).tolist()
-    if len(found) > 1:
+    names = [] if name is None else np.unique(to_labels(tiling.table[name], f"column {name!r}")).tolist()
+    if len(names) > 1:
         warn(
-            f"the tiles belong to {len(found)} programs ({name}: {listed(found)}), but every target can be observed on "
+            f"the tiles belong to {len(names)} programs ({name}: {listed(names)}), but every target can be observed on "
             "all tiles; to plan one program, select its tiles"
         )

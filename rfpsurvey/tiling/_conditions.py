@@ -93,9 +93,9 @@ class FieldsOfTiles:
         if self.conditions is None:
             return field_radius_rad(self.instrument)
         fields = []
-        for name, place, one in zip(self.tiling.table["tile"], np.deg2rad(self.places), self.conditions, strict=True):
+        for name, place, obs in zip(self.tiling.table["tile"], np.deg2rad(self.places), self.conditions, strict=True):
             try:
-                fields.append(self.instrument.field_projection(*place, one))
+                fields.append(self.instrument.field_projection(*place, obs))
             except InputError as error:
                 raise InputError(f"tile {name}: {error}") from None
         lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
@@ -133,8 +133,8 @@ def _times(column, tile) -> np.ndarray:
                 if times.format.endswith("year_str"):
                     raise ValueError
             except ValueError:
-                found = [to_moment(value, f"time of tile {name}") for value, name in zip(values, tile, strict=True)]
-                times = Time(found)
+                moments = [to_moment(value, f"time of tile {name}") for value, name in zip(values, tile, strict=True)]
+                times = Time(moments)
         return np.array(Time(times, format="isot", precision=3).value, dtype=str)
 
 

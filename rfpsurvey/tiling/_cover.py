@@ -45,17 +45,7 @@ def cover_targets(problem: TilingProblem, make: Callable) -> TilingState:
 
 
 class RegionCover:
-    """Coverings of a region, and their quality.
-
-    Parameters
-    ----------
-    region : Region
-        Region to cover.
-    radius : float
-        Radius of a tile in radians.
-    exclude : tuple of Region
-        Regions that need not be covered.
-    """
+    """Coverings of a region, except for the regions in ``exclude``, and their quality; radii are in radians."""
 
     def __init__(self, region: Region, radius: float, exclude: tuple[Region, ...]):
         self.region, self.radius = region, radius
@@ -68,7 +58,7 @@ class RegionCover:
 
     def make_passes(self, make: Callable, passes: int, where: Centers) -> list[np.ndarray]:
         """Return the centers of each pass."""
-        index, found, allowed = SkyIndex(self.samples), [], where.vectors
+        index, centers_of_passes, allowed = SkyIndex(self.samples), [], where.vectors
         for number in range(passes):
             centers = where.limits.fit(make(self.center, self.reach, self.radius, number), self.radius)
             centers = centers[distance_to(self.region, centers) <= self.radius * (1 + 1e-12)]
@@ -76,8 +66,8 @@ class RegionCover:
                 centers = snap(centers, allowed, self.look, self.radius)
             else:
                 centers = _needed(index, centers, self.radius, self.margin)
-            found.append(centers)
-        return found
+            centers_of_passes.append(centers)
+        return centers_of_passes
 
     def quality(self, tiles: np.ndarray, limits: Declinations) -> dict:
         """Return numbers that describe how well tiles cover the region."""
@@ -146,6 +136,7 @@ def _needed(index, centers, radius, margin):
     touched = [index.near(center, min(radius + margin, np.pi)) for center in centers]
     if radius <= 2 * margin:
         return centers[[len(rows) > 0 for rows in touched]]
+    # a pixel inside this smaller circle is completely inside the tile
     sure = [index.near(center, radius - margin) for center in centers]
     depth = np.zeros(len(index), dtype=np.int64)
     for rows in sure:

@@ -80,11 +80,11 @@ def _run(state: TilingState, candidates: list["_Candidates"], seek: Callable) ->
         if state.problem.where.vectors is None:
             beside = np.vstack([ring(center, step * state.problem.radius) for step in BESIDE])
             tries += list(state.problem.where.limits.move_inside(beside))
-        if not any(len(state.observe(one)) for one in tries):
+        if not any(len(state.observe(shifted)) for shifted in tries):
             state.give_up(center)
         changed = max(state.problem.reach, state.problem.radius) + max(BESIDE) * state.problem.radius
-        for one in candidates:
-            one.update(center, changed)
+        for sums in candidates:
+            sums.update(center, changed)
     return state
 
 
@@ -199,9 +199,8 @@ def _climb_density(state: TilingState, center: np.ndarray) -> np.ndarray:
 
     The density is smoothed by a Gaussian whose standard deviation is half the radius of a tile.
     """
-    problem = state.problem
+    problem, weight = state.problem, state.weight
     sigma = SIGMA * problem.radius
-    weight = state.weight
 
     def look(place):
         near = problem.index.near(place, min(3 * sigma, np.pi), weight)

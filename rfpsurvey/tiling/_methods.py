@@ -48,7 +48,7 @@ def warn_of_unused_passes(method: TilingMethod, passes: int, *, has_goal: bool) 
 def check_region_options(method: TilingMethod, goals: dict, unused: dict) -> None:
     """Raise an error if a method cannot cover a region or reach the goals; issue warnings about unused options."""
     if not (method.covers or method.needs_tiles):
-        able = listed(name for name, one in METHODS.items() if one.covers)
+        able = listed(name for name, candidate in METHODS.items() if candidate.covers)
         raise InputError(f"the method {method.name!r} needs targets, got a Region; methods that cover regions: {able}")
     for name, value in goals.items():
         if value is not None:

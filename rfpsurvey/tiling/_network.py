@@ -40,30 +40,30 @@ def _fewest(problem: TilingProblem) -> TilingState:
     goal = problem.completeness
     most = problem.n_tiles or 10**6
     n = min(max(int(np.ceil(goal * problem.wanted.sum() / problem.fibers)), 1), most)
-    low, found, best, stuck = 0, None, None, 0
-    while found is None:
+    low, reached, best, stuck = 0, None, None, 0
+    while reached is None:
         state = _attempt(problem, n)
         if best is None or state.completeness > best.completeness + 1e-9:
             best, stuck = state, 0
         else:
             stuck += 1
         if state.completeness >= goal - 1e-12:
-            found = state
+            reached = state
         elif n >= most or stuck >= 6:
             return best
         else:
-            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))
+            foreseen = int(n * min(goal / max(state.completeness, 1e-9), 3))  # completeness in proportion to tiles
             low, n = n, min(max(int(1.25 * n), n + 1, foreseen), most)
     # an attempt may observe all targets before all of its tiles are used
-    high = len(found.rows)
+    high = len(reached.rows)
     while high - low > max(1, high // 100):
         middle = (low + high) // 2
         state = _attempt(problem, middle)
         if state.completeness >= goal - 1e-12:
-            found, high = state, min(middle, len(state.rows))
+            reached, high = state, min(middle, len(state.rows))
         else:
             low = middle
-    return found
+    return reached
 
 
 def _attempt(problem: TilingProblem, n: int) -> TilingState:
@@ -140,9 +140,9 @@ def _relax(problem: TilingProblem, cells: _Cells, centers: np.ndarray) -> np.nda
         centers = centers.copy()
         left = cells.supply - np.bincount(cell, amount, len(cells.supply))
         order = np.argsort(tile, kind="stable")
-        for k, own in enumerate(np.split(order, np.searchsorted(tile[order], np.arange(1, len(centers))))):
-            if len(own):
-                centers[k] = _best_center(centers[k], cells.vectors[cell[own]], amount[own], radius)
+        for k, flows in enumerate(np.split(order, np.searchsorted(tile[order], np.arange(1, len(centers))))):
+            if len(flows):
+                centers[k] = _best_center(centers[k], cells.vectors[cell[flows]], amount[flows], radius)
             elif left.max() > 0.5:  # move a tile without targets to unassigned targets
                 gain = cells.index.sum_near(cells.vectors, radius, left[cells.index.order])
                 centers[k] = cells.vectors[np.argmax(gain)]
@@ -162,7 +162,7 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     reach = min((1 + OUTSIDE) * problem.radius, np.pi)
     lists = [cells.index.order[cells.index.near(center, reach)] for center in centers]
     cell = np.concatenate(lists).astype(np.int64) if lists else np.empty(0, dtype=np.int64)
-    tile = np.repeat(np.arange(len(centers)), [len(one) for one in lists])
+    tile = np.repeat(np.arange(len(centers)), [len(cells_in_reach) for cells_in_reach in lists])
     chord = np.linalg.norm(cells.vectors[cell] - centers[tile], axis=1)
     cost = _cost(2 * np.arcsin(np.minimum(chord / 2, 1)), problem.radius)
     if len(cell) == 0:
@@ -177,12 +177,12 @@ def _flow(problem: TilingProblem, cells: _Cells, centers: np.ndarray):
     most = np.column_stack([0 * ones, cells.count[cell]])
     for presolve in (True, False):  # presolve can find programs infeasible that have solutions, as this one always has
         options = {"presolve": presolve}
-        found = linprog(cost - UNASSIGNED, A_ub=limits, b_ub=capacity, bounds=most, method="highs", options=options)
-        if found.status == 0:
+        solution = linprog(cost - UNASSIGNED, A_ub=limits, b_ub=capacity, bounds=most, method="highs", options=options)
+        if solution.status == 0:
             break
-    amount = found.x
+    amount = solution.x
     used = amount > 1e-6
-    return cell[used], tile[used], amount[used], found.fun + UNASSIGNED * cells.supply.sum()
+    return cell[used], tile[used], amount[used], solution.fun + UNASSIGNED * cells.supply.sum()
 
 
 def _best_center(center: np.ndarray, vectors: np.ndarray, amount: np.ndarray, radius: float) -> np.ndarray:

@@ -233,9 +233,9 @@ def _place_on_region(region, method, model, radius_rad, passes, where, exclude, 
     if method.needs_tiles:
         table, vectors = given_tiles(where).table, where.tiling.vectors
     else:
-        found = cover.make_passes(method.function, passes, where)
-        vectors = np.vstack(found)
-        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(one) for one in found]), where)
+        passes_of_region = cover.make_passes(method.function, passes, where)
+        vectors = np.vstack(passes_of_region)
+        table = _table(vectors, np.repeat(np.arange(passes) + 1, [len(centers) for centers in passes_of_region]), where)
     quality = cover.quality(vectors, where.limits)
     summary.update(area_deg2=float(region.area.to_value(u.deg**2)), **quality)
     if model is not None:
@@ -273,7 +273,7 @@ def _neighbors(fibers: Fibers, index: SkyIndex, allocator):
 def _regions(exclude) -> tuple[Region, ...]:
     """Return a tuple of regions from one region, several regions, or None."""
     regions = () if exclude is None else (exclude,) if isinstance(exclude, Region) else exclude
-    if not isinstance(regions, list | tuple) or not all(isinstance(one, Region) for one in regions):
+    if not isinstance(regions, list | tuple) or not all(isinstance(region, Region) for region in regions):
         raise InputTypeError(f"exclude must be a Region or a list of Regions, got {short(exclude)}")
     return tuple(regions)
 

@@ -116,6 +116,7 @@ class TilingState:
     @property
     def unit(self) -> float:
         """Weight of a visit to a target whose priority is below the highest remaining priority."""
+        # all visits of lower priority together weigh less than one visit of the highest remaining priority
         return 1.0 if self.problem.level is None else 1.0 / (1.0 + self._n_requested)
 
     @property
@@ -231,9 +232,9 @@ def account_of(state: TilingState, neighbors, n_away: int) -> dict:
         "fiber_use": float(made.sum() / max(n * problem.fibers, 1)),
     }
     if neighbors is not None:
-        indptr, other = neighbors
+        indptr, neighbor = neighbors
         # only neighbors with requested visits can be too close
-        near = np.bincount(np.repeat(np.arange(len(wanted)), np.diff(indptr)), wanted[other] > 0, len(wanted))
+        near = np.bincount(np.repeat(np.arange(len(wanted)), np.diff(indptr)), wanted[neighbor] > 0, len(wanted))
         alone = np.flatnonzero((wanted > 0) & (near == 0))
         account["n_isolated"] = len(alone)
         account["completeness_isolated"] = float(made[alone].sum() / max(wanted[alone].sum(), 1))

@@ -82,51 +82,37 @@ class FreeFibers:
             return near
         keys = [np.arange(len(near))]
         if self.neighbors is not None:
-            indptr, other = self.neighbors
+            indptr, neighbor = self.neighbors
             first, size = indptr[near], indptr[near + 1] - indptr[near]
+            # the neighbors of all targets, one target after the other, without a loop
             of_pair = np.repeat(np.arange(len(near)), size)
-            too_close = other[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
+            too_close = neighbor[np.repeat(first - np.cumsum(size) + size, size) + np.arange(len(of_pair))]
             degree = np.bincount(of_pair[np.isin(too_close, near)], minlength=len(near))
             keys.append(degree)
         if state.chances is not None:
             keys.append(state.chances[near])
         if self.priority is not None:
             keys.append(-self.priority[near])
-        order = np.lexsort(keys)
+        order = np.lexsort(keys)  # the last key is the first criterion
         if self.neighbors is not None:
             taken, blocked = degree == 0, set()
             for k in order[degree[order] > 0].tolist():
                 if near[k] not in blocked:
                     taken[k] = True
-                    blocked.update(other[first[k] : first[k] + size[k]].tolist())
+                    blocked.update(neighbor[first[k] : first[k] + size[k]].tolist())
             order = order[taken[order]]
         return near[np.sort(order[: self.fibers])]
 
 
 @dataclass(eq=False)
 class FocalPlaneFibers(FieldsOfTiles):
-    """The positioners of an instrument with an allocator; tiles are planned as in a survey.
-
-    Parameters
-    ----------
-    instrument : Instrument
-        The instrument.
-    builder : FieldBuilder
-        The targets, and the allocator with its options.
-    fibers : Fibers
-        Largest number of targets that a tile observes, and whether a target is lost if the arm at this target collides.
-    tiling : Tiling or float
-        The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed.
-    seed : int
-        Seed of the random numbers; each tile has its own stream.
-    reference : Time or None
-        Epoch of the targets, if they are moved to the times of the tiles.
-    """
+    """The positioners of an instrument with an allocator; tiles are planned as in a survey."""
 
     instrument: Instrument
     builder: FieldBuilder
     fibers: Fibers
     tiling: Tiling | float
+    """The tiles, in their order; or the position angle (degrees) of tiles that are not yet placed."""
     seed: int
     reference: Time | None
 
@@ -172,7 +158,7 @@ def neighbors_within(vectors: np.ndarray, separation_rad: float) -> tuple[np.nda
     pairs = cKDTree(vectors).query_pairs(chord, output_type="ndarray")
     distance = np.linalg.norm(vectors[pairs[:, 0]] - vectors[pairs[:, 1]], axis=1)
     pairs = pairs[distance < chord]  # the tree also returns pairs exactly at this distance
-    both = np.concatenate([pairs, pairs[:, ::-1]])
-    both = both[np.lexsort((both[:, 1], both[:, 0]))]
-    indptr = np.searchsorted(both[:, 0], np.arange(len(vectors) + 1))
-    return indptr, both[:, 1]
+    ordered = np.concatenate([pairs, pairs[:, ::-1]])
+    ordered = ordered[np.lexsort((ordered[:, 1], ordered[:, 0]))]
+    indptr = np.searchsorted(ordered[:, 0], np.arange(len(vectors) + 1))
+    return indptr, ordered[:, 1]

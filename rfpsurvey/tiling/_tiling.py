@@ -197,11 +197,11 @@ class Tiling:
         meta |= {"omitted": said} if said else {}
         meta |= {"selected": selected.removeprefix("; selected: ")} if selected else {}
         silent = assume_units or is_plain or bool(said) or is_of_pfs(table)
-        n, found = len(table), read_angles(table, names, units, silent=silent)
+        n, angles = len(table), read_angles(table, names, units, silent=silent)
         tile = to_labels(table[names["tile"]], "tile") if "tile" in names else np.arange(n)
-        angle = found.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names)
+        angle = angles.get("position_angle", np.zeros(n) * u.deg) + pfs_angle(table, names)
         number = table[names["pass"]] if "pass" in names else np.ones(n, dtype=np.int64)
-        result = QTable([tile, found["ra"], found["dec"], angle, number], names=COLUMNS, meta=meta)
+        result = QTable([tile, angles["ra"], angles["dec"], angle, number], names=COLUMNS, meta=meta)
         for name in table.colnames:
             if name not in names.values() and name not in COLUMNS:
                 result[name] = table[name]

@@ -125,10 +125,10 @@ def groups_of(names: list[str], dates: list[str]) -> dict[tuple[str, str], list[
         known.setdefault(name, set()).add(date)
     groups: dict[tuple[str, str], list[int]] = {}
     for row, (name, date) in enumerate(zip(names, dates, strict=True)):
-        others = known[name] - {""}
-        if not date and len(others) > 1:
+        dates_of_tile = known[name] - {""}
+        if not date and len(dates_of_tile) > 1:
             raise InputError(f"date must be given in all rows of tile {name}, which has several dates, got no date")
-        groups.setdefault((name, date or max(others, default="")), []).append(row)
+        groups.setdefault((name, date or max(dates_of_tile, default="")), []).append(row)
     return groups
 
 

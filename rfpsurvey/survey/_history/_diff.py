@@ -161,23 +161,23 @@ def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
     return [np.full(n, name), *(np.full(n, "") for _ in range(3)), np.array(reasons, dtype=str)]
 
 
-def _fibers(name: str, earlier: _Side, row: int, later: _Side, other: int) -> list[np.ndarray]:
+def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -> list[np.ndarray]:
     """Return the columns of rows on the fibers of a tile that have another target."""
-    visits = earlier.survey._visits(row), later.survey._visits(other)
+    visits = earlier.survey._visits(row), later.survey._visits(later_row)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
         raise InputError("the surveys must have the same instrument, got other identifiers of positioners")
-    both = np.union1d(*fibers)
+    positioners = np.union1d(*fibers)
     targets, ids = [], []
     for part, names in zip(visits, fibers, strict=True):
-        place = np.full(len(both), len(part))
-        place[np.searchsorted(both, names)] = np.arange(len(part))
+        place = np.full(len(positioners), len(part))
+        place[np.searchsorted(positioners, names)] = np.arange(len(part))
         targets.append(np.append(np.asarray(part["target_row"]), NO_TARGET)[place])
         ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
     changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
     before, after = (target[changed] for target in targets)
     reasons = _reasons(earlier, later, before, after)
-    return [np.full(len(before), name), both[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
+    return [np.full(len(before), name), positioners[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
 
 
 def _reasons(earlier: _Side, later: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:

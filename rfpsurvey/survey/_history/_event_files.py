@@ -42,7 +42,7 @@ def append_events(
         lines = StringIO()
         csv.writer(lines, lineterminator="\n").writerows([rows.colnames, *rows.iterrows()])
         kind, ending, content = "rows", "csv", lines.getvalue().encode()
-    if content is not None:
+    if content is not None:  # written before the file that names it, so that a killed process leaves no broken chain
         tables[kind] = f"{number:06d}-{hashlib.sha256(content).hexdigest()}.{ending}"
         _io.write_bytes(folder / EVENTS / tables[kind], content, sync=True)
     about = {
@@ -113,10 +113,10 @@ def _read(folder: Path, number: int, parsed: dict[str, EventFile], body: str | N
     """Return the content of a file of events, which is that in ``parsed`` if the digest is equal."""
     try:
         if body is None:
-            found = FRAMED.fullmatch(content_of(folder / _name(number), most=MOST_FILE).decode("utf-8", "replace"))
-            if not found or found[1] != _digest(found[2]):
+            match = FRAMED.fullmatch(content_of(folder / _name(number), most=MOST_FILE).decode("utf-8", "replace"))
+            if not match or match[1] != _digest(match[2]):
                 raise InputError("its digest differs from its content")
-            body = found[2]
+            body = match[2]
         digest = _digest(body)
         if digest in parsed:
             return parsed[digest]

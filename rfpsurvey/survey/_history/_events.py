@@ -74,16 +74,17 @@ class TileEvent(NamedTuple):
         """Return this event joined with an earlier event of the same observation."""
         if earlier is None:
             return self
-        state, fraction = (self if self.has_state else earlier)[2:5:2]
+        stated = self if self.has_state else earlier
         kept = {} if self.replaces else {k: reason for k, reason in earlier.failed.items() if k not in self.good}
-        return self._replace(state=state, fraction=fraction, failed=dict(sorted((kept | self.failed).items())))
+        failed = dict(sorted((kept | self.failed).items()))
+        return self._replace(state=stated.state, fraction=stated.fraction, failed=failed)
 
     def includes(self, other: "TileEvent") -> bool:
         """Return whether the table of this event states everything that the table of another event states."""
         if (self.row, self.date, self.place) != (other.row, other.date, other.place):
             return False
-        own, its = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
-        return its in ((), own) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
+        stated, needed = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
+        return needed in ((), stated) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
 
 
 @dataclass(frozen=True)
@@ -108,7 +109,6 @@ class EventFile:
     undoes: int | None = None
     """Number of the file that this file undoes."""
     body: str = ""
-    """The content of the file."""
 
     @property
     def others(self) -> list[str]:

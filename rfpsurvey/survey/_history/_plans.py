@@ -49,7 +49,7 @@ class History:
 
     def earlier(self, event: TileEvent) -> TileEvent | None:
         """Return the recorded event of the same observation; None if there is none."""
-        return next((other for other in self.states.of(event.row) if other.observation == event.observation), None)
+        return next((past for past in self.states.of(event.row) if past.observation == event.observation), None)
 
     def _read(self, row: int, plan: str) -> tuple[np.ndarray | None, dict]:
         """Return the visits of a plan and the header of its file; None and {} if it was removed or is damaged."""
@@ -123,10 +123,11 @@ class History:
 
     def _is_replaced(self, number: int, introduced: Iterable[int]) -> bool:
         """Return whether a plan was replaced on the day of its generation, before an observation was recorded."""
-        rows = {generation.number: generation for generation in self.generations}
-        if number in introduced or number + 1 not in introduced or rows[number].date != rows[number + 1].date:
+        by_number = {generation.number: generation for generation in self.generations}
+        if number in introduced or number + 1 not in introduced or by_number[number].date != by_number[number + 1].date:
             return False
-        files = [file for file in self.events.files if file.n_applied == rows[number].n_files]
+        # the records that were made while this generation was the present plan
+        files = [file for file in self.events.files if file.n_applied == by_number[number].n_files]
         return not any(event.plan for file in files for event in file.tiles)
 
     @cached_property

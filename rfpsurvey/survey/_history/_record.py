@@ -279,10 +279,10 @@ def _visits_of_configuration(path: str | os.PathLike, survey, tile: object) -> T
     positioners, targets = _texts_of(visits)
     reasons, n_same, n_science = [], 0, 0
     for positioner, target, row in zip(positioners, targets, visits["target_row"].tolist(), strict=True):
-        other, is_good = observed.get(positioner, (None, False))
-        is_same = other is not None and (row < 0 or other == target)
+        target_in_file, is_good = observed.get(positioner, (None, False))
+        is_same = target_in_file is not None and (row < 0 or target_in_file == target)
         n_same, n_science = n_same + (is_same and row >= 0), n_science + (row >= 0)
-        if other is None:
+        if target_in_file is None:
             reasons.append("no target in the file")
         elif not is_same:
             reasons.append("another target in the file")
@@ -294,8 +294,8 @@ def _visits_of_configuration(path: str | os.PathLike, survey, tile: object) -> T
         )
     if not on_target.any():
         warn(f"no fiber of {path} was on target; therefore, all visits of tile {tile} are recorded as failed")
-    if others := len({*observed} - {*positioners}):
-        warn(f"{number_of(others, 'fiber')} of {path} with a target have no target in tile {tile}, and are ignored")
+    if n_unused := len({*observed} - {*positioners}):
+        warn(f"{number_of(n_unused, 'fiber')} of {path} with a target have no target in tile {tile}, and are ignored")
     mjd = plan.meta["header"].get("MJD")
     date = "" if mjd is None else Time(float(mjd), format="mjd", scale="utc").isot[:10]
     good = np.array([not reason for reason in reasons], dtype=bool)

@@ -80,7 +80,7 @@ class TileStates:
         A dropped tile remains dropped after a report on an earlier observation, or on an observation until this date.
         """
         if event.state == TileState.DROPPED:
-            if not event.date or all(one.date <= event.date for one in self.of(event.row)):
+            if not event.date or all(attempt.date <= event.date for attempt in self.of(event.row)):
                 self.dropped[event.row] = event.date or self._latest
             return
         is_late = event.observation in self._order or "" < event.date <= self.dropped.get(event.row, "")
@@ -99,8 +99,8 @@ class TileStates:
 
     def of(self, row: int) -> list[TileEvent]:
         """Return the observations of a tile, in the order of dates."""
-        found = self._attempts.get(row, {})
-        return [found[key] for key in sorted(found, key=self._order.get)]
+        attempts = self._attempts.get(row, {})
+        return [attempts[key] for key in sorted(attempts, key=self._order.get)]
 
     @property
     def attempts(self) -> list[TileEvent]:
@@ -109,13 +109,13 @@ class TileStates:
 
     def state_of(self, row: int) -> TileEvent:
         """Return the observation that determines the state of a tile, or an event ``dropped`` or ``planned``."""
-        found = self.of(row)
-        done = [event for event in found if event.state == TileState.DONE]
+        past = self.of(row)
+        done = [event for event in past if event.state == TileState.DONE]
         if done:
             return done[-1]
         if row in self.dropped:
             return TileEvent(row, "", TileState.DROPPED)
-        return found[-1] if found and found[-1].state == TileState.PARTLY else TileEvent(row, "", TileState.PLANNED)
+        return past[-1] if past and past[-1].state == TileState.PARTLY else TileEvent(row, "", TileState.PLANNED)
 
     def rows(self) -> list[int]:
         """Return the rows of the tiles of which anything was recorded, in ascending order."""

@@ -148,8 +148,8 @@ class VisitRule(Settings):
             )
         n = len(table)
         names, last = (_words(table, name) for name in ("class", "last"))
-        for one in last:
-            check_choice(one, (*LAST, ANY), "last result of a visit rule")
+        for result in last:
+            check_choice(result, (*LAST, ANY), "last result of a visit rule")
         numbers = {name: np.full(n, np.nan) for name in COLUMNS if name not in ("class", "last")}
         for name in {*numbers} & {*table.colnames}:
             numbers[name] = to_numbers(table[name], f"{name} of a visit rule", unitless=True)
@@ -195,23 +195,23 @@ class VisitRule(Settings):
                 table[name] = columns[name]
         table["last"] = np.array(LAST)[columns["last"]]
         with self._function.answering():
-            found = self._function.value(table)
-            names = list(found.keys()) if isinstance(found, dict | Table) else []
+            answer = self._function.value(table)
+            names = list(answer.keys()) if isinstance(answer, dict | Table) else []
             if not names or {*names} - {"visits", "priority"}:
                 raise InputError(
                     "it must return a dict or a table with the columns visits or priority, got another result"
                 )
             if "visits" in names:
-                if np.max(found["visits"], initial=0) > MOST_VISITS:
+                if np.max(answer["visits"], initial=0) > MOST_VISITS:
                     observed = int(np.min(columns["observed"], initial=MOST_VISITS))
                     end = "must end" if observed == MOST_VISITS else f"must request at most {MOST_VISITS} visits"
                     raise InputError(
-                        f"it {end}, got {np.max(found['visits']):g} requested visits of a target that was observed "
+                        f"it {end}, got {np.max(answer['visits']):g} requested visits of a target that was observed "
                         f"{observed} times"
                     )
-                visits = to_visits(found["visits"], len(visits))
+                visits = to_visits(answer["visits"], len(visits))
             if "priority" in names:
-                priority = to_dimensionless(found["priority"], "priority").astype(float)
+                priority = to_dimensionless(answer["priority"], "priority").astype(float)
                 if priority.shape != visits.shape or not np.isfinite(priority).all():
                     raise InputError("its priorities must be finite numbers, one for each target")
         return visits, priority
@@ -219,14 +219,14 @@ class VisitRule(Settings):
 
 def _of_class(name: str, priority: np.ndarray | None, category: np.ndarray | None, n: int) -> np.ndarray:
     """Return which targets have the category or the priority ``name``."""
-    found = np.full(n, name == ANY)
+    is_in_class = np.full(n, name == ANY)
     if category is not None:
-        found |= category == name
+        is_in_class |= category == name
     if priority is not None:
         values = np.unique(priority)
         same = [value for value in values.tolist() if exact_text(value) == name]
-        found |= np.isin(priority, same)
-    return found
+        is_in_class |= np.isin(priority, same)
+    return is_in_class
 
 
 def _words(table: Table, name: str) -> list[str]:
@@ -234,7 +234,7 @@ def _words(table: Table, name: str) -> list[str]:
     if name not in table.colnames:
         return [ANY] * len(table)
     values = to_plain(table[name], name)
-    texts = [exact_text(one) if values.dtype.kind in "iuf" else str(one).strip() for one in values.tolist()]
+    texts = [exact_text(value) if values.dtype.kind in "iuf" else str(value).strip() for value in values.tolist()]
     return [ANY if text in ("", "nan") else text for text in texts]
 
 

@@ -182,13 +182,15 @@ class SurveyState:
     @cached_property
     def closed(self) -> dict[int, TileEvent | None]:
         """Rows of the tiles that are not planned, with the observation of each observed tile, and None if dropped."""
-        found, done = map(self.states.state_of, self.states.rows()), TileState.DONE
-        return {one.row: one if one.state == done else None for one in found if one.state in (done, TileState.DROPPED)}
+        states, done = (TileState.DONE, TileState.DROPPED), TileState.DONE
+        events = [event for event in map(self.states.state_of, self.states.rows()) if event.state in states]
+        return {event.row: event if event.state == done else None for event in events}
 
     @cached_property
     def begun(self) -> dict[int, TileEvent]:
         """Rows of the tiles that were partly observed, and keep their plans, with the observation of each tile."""
-        return {one.row: one for one in map(self.states.state_of, self.states.rows()) if one.state == TileState.PARTLY}
+        events = map(self.states.state_of, self.states.rows())
+        return {event.row: event for event in events if event.state == TileState.PARTLY}
 
     @property
     def kept(self) -> dict[int, TileEvent]:
@@ -271,7 +273,7 @@ class SurveyState:
             If the catalog is another catalog.
         """
         given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-        if not any(is_same(given, own) for own in (self.first, self.catalog)):
+        if not any(is_same(given, planned) for planned in (self.first, self.catalog)):
             raise InputError(
                 f"the catalog must be that of the state, with {number_of(len(self), 'target')}, got another catalog "
                 f"with {number_of(len(given), 'target')}"
@@ -290,7 +292,7 @@ class SurveyState:
     @property
     def summary(self) -> dict:
         """Numbers of observed, partly observed and dropped tiles, and of successful and failed visits."""
-        observed = sum(one is not None for one in self.closed.values())
+        observed = sum(event is not None for event in self.closed.values())
         return {
             "n_tiles_observed": observed,
             "n_tiles_partly_observed": len(self.begun),
@@ -345,7 +347,7 @@ class SurveyState:
             If the tiles are not those of the first plan.
         """
         files = self.events.files
-        added = [one.row for file in files for one in file.tiles if one.place and one.row >= file.n_tiles]
+        added = [event.row for file in files for event in file.tiles if event.place and event.row >= file.n_tiles]
         first = min(added, default=files[-1].n_tiles if files else 0)
         if len(tiling) < first or (added and len(tiling) > first):
             remedy = "; record further tiles with the state added" if len(tiling) > first else ""

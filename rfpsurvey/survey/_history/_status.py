@@ -111,7 +111,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     is_planned = record == survey.provenance.get("events", None if state.events.files else record)
     left = wanted - observed
     planned = np.minimum(_planned(survey, state, is_planned=is_planned), left)
-    rest, n_added = left - planned, len(state) - len(survey.outcomes)
+    not_planned, n_added = left - planned, len(state) - len(survey.outcomes)
     # targets that were added after the last plan are not assigned
     code = np.pad(survey.outcomes["outcome"], (0, n_added), constant_values=Outcome.IN_REACH_NOT_ASSIGNED)
     impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH, Outcome.EXCLUDED_BY_A_CONSTRAINT))
@@ -124,9 +124,9 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "n_failed": state.failed,
         "n_left": left,
         "n_planned": planned,
-        "n_not_assigned": rest * ~(lost | impossible),
-        "n_lost": rest * lost,
-        "n_impossible": rest * impossible,
+        "n_not_assigned": not_planned * ~(lost | impossible),
+        "n_lost": not_planned * lost,
+        "n_impossible": not_planned * impossible,
     }
     classes, counts = classes_by_column(columns["priority"], columns["category"], wanted), {}
     for column, (class_of, names) in classes.items():

@@ -120,16 +120,16 @@ def _known(changes: QTable, events: Events) -> np.ndarray:
     last[DROPPED][:] = 0
     known, repeated = np.ones(len(changes), dtype=bool), np.zeros(len(changes), dtype=bool)
     for _, table in events.target_tables:
-        _, here, there = np.intersect1d(changes[ROW], table[ROW], return_indices=True)
-        same = np.asarray(changes["date"])[here] == np.asarray(table["date"])[there]
+        _, place_in_changes, place_in_table = np.intersect1d(changes[ROW], table[ROW], return_indices=True)
+        same = np.asarray(changes["date"])[place_in_changes] == np.asarray(table["date"])[place_in_table]
         for name, values in stated.items():
             if name in table.colnames:
-                recorded = np.asarray(table[name])[there]
-                same &= ~_given(values[here]) | (values[here] == recorded)
-                last[name] = _changed(last[name], here, recorded)
+                recorded = np.asarray(table[name])[place_in_table]
+                same &= ~_given(values[place_in_changes]) | (values[place_in_changes] == recorded)
+                last[name] = _changed(last[name], place_in_changes, recorded)
             else:
-                same &= ~_given(values[here])
-        repeated[here] |= same
+                same &= ~_given(values[place_in_changes])
+        repeated[place_in_changes] |= same
     for name, values in stated.items():
         same = values == last[name]
         if name == DROPPED:  # an added target is not dropped
@@ -147,7 +147,7 @@ def _known(changes: QTable, events: Events) -> np.ndarray:
 def _given(values: np.ndarray) -> np.ndarray:
     """Return which values of a column are not missing."""
     values = np.asarray(values)
-    return {"f": np.isfinite, "U": lambda texts: texts != ""}.get(values.dtype.kind, lambda codes: codes != -1)(values)
+    return np.isfinite(values) if values.dtype.kind == "f" else values != ("" if values.dtype.kind == "U" else -1)
 
 
 def _kinds_of(survey) -> dict[str, str]:
@@ -257,8 +257,8 @@ def _rows_of(ids: np.ndarray, events: Events, survey) -> tuple[np.ndarray, int]:
             f"{values[times.argmax()]}"
         )
     rows = np.full(len(ids), -1, dtype=np.int64)
-    _, here, there = np.intersect1d(ids, known, return_indices=True)
-    rows[here] = number[there]
+    _, place_in_ids, place_in_known = np.intersect1d(ids, known, return_indices=True)
+    rows[place_in_ids] = number[place_in_known]
     return rows, n_targets
 
 

@@ -132,8 +132,8 @@ def _event(state: str, name: str, date: str, fraction: float, history: History, 
     if chosen and any(event.plan != chosen[0] for event in earlier if date):
         got = listed(f"{what} {value!r}" for what, value in named.items())
         raise InputError(f"plan must be that of the recorded observation of tile {name}{on_date(date)}, got {got}")
-    stated = [event[2:5] for event in history.past.get(row, ()) if event.has_state]
-    is_repeated = date or (state, date, fraction) in stated
+    past = [event for event in history.past.get(row, ()) if event.has_state]
+    is_repeated = date or any((event.state, event.date, event.fraction) == (state, date, fraction) for event in past)
     present = [plan for plan, _ in history.plans(row)][-1:]
     if earlier and (is_repeated or earlier[-1].state == TileState.DONE or [earlier[-1].plan] == present):
         return TileEvent(row, name, state, date, fraction, earlier[-1].plan, made_with=earlier[-1].made_with)
@@ -180,7 +180,7 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
 def _check_possible(event: TileEvent, history: History) -> None:
     """Raise an error if an event contradicts the observations of its tile."""
     attempts, name = history.states.of(event.row), event.tile
-    done = [other for other in attempts if other.state == TileState.DONE and other.observation != event.observation]
+    done = [past for past in attempts if past.state == TileState.DONE and past.observation != event.observation]
     if event.state == TileState.ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
         raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
     if event.state == TileState.DROPPED and done:
@@ -199,7 +199,7 @@ def _is_known(event: TileEvent, history: History) -> bool:
     nothing, but states something new, is kept, so that it does not undo a later correction if it is recorded again.
     """
     states, is_dropped, before = history.states, event.row in history.states.dropped, history.earlier(event)
-    is_same = before is not None and before[:7] == event.after(before)[:7]
+    is_same = before is not None and before[:7] == event.after(before)[:7]  # all fields up to `failed`
     if event.state == TileState.ADDED:
         is_planned = event.row < history.n_tiles_before and not is_dropped
         is_same = is_planned and np.array_equal(history.place(event.row), event.place)
@@ -245,9 +245,9 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
                 f"positioner must be given for target {name} of tile {event.tile}, because "
                 f"{len(positioners_of[what][name])} targets of this tile have this identifier, got only the target"
             )
-        other = columns["target"][k] if what == "positioner" and columns["target"] else ""
-        if other and (name, other) not in pairs:
-            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {other!r}")
+        target = columns["target"][k] if what == "positioner" and columns["target"] else ""
+        if target and (name, target) not in pairs:
+            raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {target!r}")
         if columns["good"] is None or not columns["good"][k]:
             failed |= dict.fromkeys(positioners_of[what][name], columns["reason"][k])
         else:

@@ -72,10 +72,10 @@ def fixed_tiles(request) -> dict[int, TilePlan]:
     _check_request(request, survey)
     left = request.builder.left.astype(np.int64)
     requested, every = left > 0, np.ones(len(left), dtype=np.uint8)
-    found = {}
+    plans = {}
     names = np.asarray(survey.tiles["tile"]).tolist()
     for name, tile, visits in zip(names, _counterparts(request.tiling, survey.tiles), survey, strict=True):
-        visits, blank = (visits[(np.asarray(visits["target_row"]) >= 0) == one] for one in (True, False))
+        visits, blank = (visits[(np.asarray(visits["target_row"]) >= 0) == is_target] for is_target in (True, False))
         job = request.job(tile, every)
         field = job.field
         index = _targets_of(visits, field)
@@ -98,8 +98,8 @@ def fixed_tiles(request) -> dict[int, TilePlan]:
             vectors = to_vectors(SkyCoord(blank["ra"], blank["dec"]))
             places = project_field(request.instrument, projection_of(job), vectors, types)[0]
             blank_mm[_rows_of(plane, blank["positioner"])] = places
-        found[tile] = plan._replace(blank_mm=blank_mm)
-    return found
+        plans[tile] = plan._replace(blank_mm=blank_mm)
+    return plans
 
 
 def _recorded_tiles(request) -> dict[int, TilePlan]:
@@ -111,7 +111,7 @@ def _recorded_tiles(request) -> dict[int, TilePlan]:
             "does not record to which side an arm bends"
         )
     every, left = np.ones(len(request.builder.left), dtype=np.uint8), request.builder.left.copy()
-    found = {row: _plan_of(plane, [], [], []) for row in state.closed}
+    plans = {row: _plan_of(plane, [], [], []) for row in state.closed}
     for tile, event in state.begun.items():
         visits = state.events.visits(event)[0]
         visits = visits[visits["target_row"] >= 0]
@@ -119,17 +119,17 @@ def _recorded_tiles(request) -> dict[int, TilePlan]:
         base = field.slot[np.searchsorted(field.row, visits["target_row"])]
         slot = with_roles(request.builder, base, visits)
         counted = visits["observed"].astype(bool) & ((left[base] > 0) | (slot != base))
-        found[tile] = _plan_of(plane, visits["positioner"], slot, counted)
-        left[found[tile].spent(request.builder)] -= 1
-    return found
+        plans[tile] = _plan_of(plane, visits["positioner"], slot, counted)
+        left[plans[tile].spent(request.builder)] -= 1
+    return plans
 
 
 def _plan_of(plane: FocalPlane, positioner, slot, counted) -> TilePlan:
     """Return the plan of an observed tile; the parameters have an element for each visit."""
-    own, side = _rows_of(plane, positioner), -1 if plane.positioner.handedness == "left" else 1
-    found = TilePlan(np.full(len(plane), -1), np.full(len(plane), side, np.int8), np.zeros(len(plane), dtype=bool))
-    found.slot[own], found.counted[own] = slot, counted
-    return found
+    rows, side = _rows_of(plane, positioner), -1 if plane.positioner.handedness == "left" else 1
+    plan = TilePlan(np.full(len(plane), -1), np.full(len(plane), side, np.int8), np.zeros(len(plane), dtype=bool))
+    plan.slot[rows], plan.counted[rows] = slot, counted
+    return plan
 
 
 def _rows_of(plane: FocalPlane, positioner) -> np.ndarray:
@@ -160,7 +160,7 @@ def _check_request(request, survey: Survey) -> None:
         )
     now, before = request.provenance["parameters"], survey.provenance["parameters"]
     for name in SAME:
-        values = [one.get(name) for one in (now, before)]
+        values = [parameters.get(name) for parameters in (now, before)]
         if name == "epoch":
             # positions at the times of the tiles are compared with the positions of the visits
             if request.years is not None or " to " in str(values[1]):
@@ -179,35 +179,35 @@ def _counterparts(tiling: Tiling, earlier: QTable) -> list[int]:
     If several tiles have this center and position angle, a tile with the same identifier is preferred.
     """
     before = Tiling(QTable(earlier[("tile", "ra", "dec", "position_angle", "pass")], meta={}))
-    names, own = (np.asarray(one.table["tile"]).astype(str) for one in (tiling, before))
-    places, own_places, index = places_of_tiles(tiling), places_of_tiles(before), SkyIndex(tiling.vectors)
-    fits, found, used = [], np.full(len(before), -1), set()
-    for vector, place in zip(before.vectors, own_places, strict=True):
+    names, earlier_names = (np.asarray(some_tiling.table["tile"]).astype(str) for some_tiling in (tiling, before))
+    places, earlier_places, index = places_of_tiles(tiling), places_of_tiles(before), SkyIndex(tiling.vectors)
+    fits, row_of_earlier, used = [], np.full(len(before), -1), set()
+    for vector, place in zip(before.vectors, earlier_places, strict=True):
         near = index.order[index.near(vector, np.deg2rad(TOLERANCE))]
         turn = (places[near, 2] - place[2] + 180) % 360 - 180
         fits.append(near[np.abs(turn) <= TOLERANCE].tolist())
-    for by_name in (True, False):
-        for k in np.flatnonzero(found < 0).tolist():
-            rows = [row for row in fits[k] if row not in used and (not by_name or names[row] == own[k])]
+    for by_name in (True, False):  # first the tiles with the same identifier
+        for k in np.flatnonzero(row_of_earlier < 0).tolist():
+            rows = [row for row in fits[k] if row not in used and (not by_name or names[row] == earlier_names[k])]
             if rows:
-                found[k] = rows[0]
+                row_of_earlier[k] = rows[0]
                 used.add(rows[0])
-    missing = np.flatnonzero(found < 0)
+    missing = np.flatnonzero(row_of_earlier < 0)
     if len(missing):
         k = missing[0]
-        same = np.flatnonzero(names == own[k])
-        text = f"fixed must contain only tiles of the tiling, got tile {own[k]} at {_text(own_places[k])}"
+        same = np.flatnonzero(names == earlier_names[k])
+        text = f"fixed must contain only tiles of the tiling, got tile {earlier_names[k]} at {_text(earlier_places[k])}"
         if len(same) and same[0] not in used:
-            text += f", but the tile {own[k]} of the tiling is at {_text(places[same[0]])}"
+            text += f", but the tile {earlier_names[k]} of the tiling is at {_text(places[same[0]])}"
         else:
             text += "; add this tile to the tiling"
         raise InputError(text + (f"; number of other tiles that are missing: {len(missing) - 1}" * (len(missing) > 1)))
     when = when_of(earlier)
     if when is not None and when in tiling.table.colnames:
-        values, own_values = np.asarray(tiling.table[when])[found], np.asarray(earlier[when])
-        for k in np.flatnonzero(values != own_values)[:1].tolist():
-            raise InputError(f"fixed must have the {when} of the tiling, got another value for tile {own[k]}")
-    return found.tolist()
+        values, earlier_values = np.asarray(tiling.table[when])[row_of_earlier], np.asarray(earlier[when])
+        for k in np.flatnonzero(values != earlier_values)[:1].tolist():
+            raise InputError(f"fixed must have the {when} of the tiling, got another value for tile {earlier_names[k]}")
+    return row_of_earlier.tolist()
 
 
 def _text(place: np.ndarray) -> str:
@@ -233,8 +233,8 @@ def candidates_of(fixed: TilePlan, slots: np.ndarray) -> TileCandidates:
     are omitted.
     """
     n, order = len(fixed.slot), np.argsort(slots, kind="stable")
-    target, own = np.full(n, -1, dtype=np.int32), np.flatnonzero(fixed.counted)
-    target[own] = order[np.searchsorted(slots[order], fixed.slot[own])]
+    target, counted = np.full(n, -1, dtype=np.int32), np.flatnonzero(fixed.counted)
+    target[counted] = order[np.searchsorted(slots[order], fixed.slot[counted])]
     cliques = np.zeros(1, dtype=np.int64), np.empty(0, dtype=np.int32)
-    pairs, shortened = (own.astype(np.int32), target[own]), np.zeros(n, dtype=bool)
+    pairs, shortened = (counted.astype(np.int32), target[counted]), np.zeros(n, dtype=bool)
     return TileCandidates(np.arange(n + 1), target, fixed.side, *cliques, shortened, pairs, no_rules(n))

@@ -64,7 +64,7 @@ class Network:
     """Number of sets, the last ones, of which a plan must use at least the number in ``most``."""
 
     @cached_property
-    def own(self) -> np.ndarray:
+    def positioner(self) -> np.ndarray:
         """Positioner of each candidate."""
         return np.repeat(np.arange(len(self.start) - 1), np.diff(self.start))
 
@@ -87,7 +87,7 @@ class Network:
     def with_requirements(self, limits: np.ndarray) -> "Network":
         """Return a copy whose sets contain the rules that count candidates, for bounds of plans within the limits."""
         sign = np.sign(self.rules.sum(axis=1))
-        first, last = (np.flatnonzero(self.is_count & (sign == one)) for one in (1, -1))
+        first, last = (np.flatnonzero(self.is_count & (sign == direction)) for direction in (1, -1))
         if len(first) + len(last) == 0:
             return self
         matrix = csr_array(vstack([self.matrix, self.rules[first], -self.rules[last]]))
@@ -99,21 +99,22 @@ class Network:
 
         If there are more than ``most_edges`` reachable pairs, a simpler upper bound is returned.
         """
-        own, target = self.pairs
+        positioner, target = self.pairs
         keep = self.rank_of_target[target] <= level
-        own, target = own[keep].astype(np.int64), target[keep].astype(np.int64)
+        positioner, target = positioner[keep].astype(np.int64), target[keep].astype(np.int64)
         n, m = len(self.start) - 1, len(self.slot)
-        tile = np.searchsorted(self.first, own, side="right") - 1
+        tile = np.searchsorted(self.first, positioner, side="right") - 1
         place, cell = np.unique(tile * m + target, return_inverse=True)
-        simple = min(len(np.unique(own)), np.minimum(np.bincount(place % m, minlength=m), self.visits).sum())
-        if len(own) > most_edges or len(own) == 0:
+        simple = min(len(np.unique(positioner)), np.minimum(np.bincount(place % m, minlength=m), self.visits).sum())
+        if len(positioner) > most_edges or len(positioner) == 0:
             return float(simple)
-        used, own = np.unique(own, return_inverse=True)
+        used, positioner = np.unique(positioner, return_inverse=True)
+        # flow from positioners to pairs of a tile and a target (at most one visit), and from these to targets
         n, k = len(used), len(place)
         source, sink = n + k + m, n + k + m + 1
-        tail = np.concatenate([np.full(n, source), own, n + np.arange(k), n + k + np.arange(m)])
+        tail = np.concatenate([np.full(n, source), positioner, n + np.arange(k), n + k + np.arange(m)])
         head = np.concatenate([np.arange(n), n + cell, n + k + place % m, np.full(m, sink)])
-        size = np.concatenate([np.ones(n), np.ones(len(own)), np.ones(k), self.visits]).astype(np.int32)
+        size = np.concatenate([np.ones(n), np.ones(len(positioner)), np.ones(k), self.visits]).astype(np.int32)
         graph = csr_array((size, (tail.astype(np.int32), head.astype(np.int32))), shape=(sink + 1, sink + 1))
         return float(maximum_flow(graph, source, sink).flow_value)
 
@@ -134,6 +135,7 @@ def make_network(
     n_blank = [max(k + 1 - len(slot), 0) for k, slot in zip(last, slots, strict=True)]
     blank = len(used) + np.cumsum([0, *n_blank])
     slot = np.concatenate([used, *(-2 - np.arange(n) for n in n_blank)])
+    # the last element is the place of the target -1, which idle arms have
     places = [
         np.concatenate([np.searchsorted(used, slot), b + np.arange(n), [-1]])
         for slot, b, n in zip(slots, blank, n_blank, strict=False)
@@ -148,10 +150,10 @@ def make_network(
     column = [tile.column + o for tile, o in zip(tiles, offset, strict=False)]
     n_cliques = sum(map(len, indptr)) - 1
     # Make a set for each target for which the number of tiles that can observe it exceeds the requested visits.
-    own_tile = np.repeat(np.arange(len(tiles)), np.diff(offset))
+    tile_of_candidate = np.repeat(np.arange(len(tiles)), np.diff(offset))
     real = np.flatnonzero(target >= 0)
     real = real[np.lexsort((real, target[real]))]
-    key = np.unique(target[real] * len(tiles) + own_tile[real])
+    key = np.unique(target[real] * len(tiles) + tile_of_candidate[real])
     n_tiles = np.bincount(key // max(len(tiles), 1), minlength=len(slot))
     binding = n_tiles > n_visits
     real = real[binding[target[real]]]

@@ -23,7 +23,7 @@ def _check_first(allocator: AllocationOptions | str) -> AllocationOptions | str:
     """Return an allocator; raise an error if its options do not allow a joint plan."""
     options = as_options(allocator)
     if not options.method.plans_jointly:
-        names = " or ".join(repr(name) for name, one in METHODS.items() if one.plans_jointly)
+        names = " or ".join(repr(name) for name, method in METHODS.items() if method.plans_jointly)
         raise InputError(f"a joint plan needs the allocator {names}, got {options.name!r}")
     if options.objective != "priority":
         raise InputError(f"a joint plan needs the objective 'priority', got {options.objective!r}")

@@ -61,7 +61,7 @@ class Patches:
         order = order[label[order] >= 0]
         self.n = int(label.max(initial=-1)) + 1
         self.members = np.split(order, np.searchsorted(label[order], np.arange(1, self.n)))
-        patch = label[network.owner]
+        patch = label[network.positioner]
         inside = np.flatnonzero(patch >= 0)
         part = csr_array((np.ones(len(inside)), (inside, patch[inside])), shape=(len(patch), max(self.n, 1)))
         self._used = network.matrix @ part  # number of candidates of each set in each patch
@@ -69,7 +69,7 @@ class Patches:
         self.crosses[len(self.crosses) - network.n_least :] = True  # bounds always use the prices of minima
         x = np.zeros(len(network.target))
         x[self.only] = 1.0
-        self.rest = network.most - network.matrix @ x
+        self.slack = network.most - network.matrix @ x
 
     def colors(self) -> list[list[int]]:
         """Return groups of patches such that no set contains candidates of two patches of the same group."""
@@ -128,9 +128,9 @@ class Patches:
         mine = np.searchsorted(rows, now)
         x = np.zeros(len(rows))
         x[mine] = 1.0
-        rest = limits[sets] - (load[sets] - part @ x)
+        slack = limits[sets] - (load[sets] - part @ x)
         usable = network.usable[rows] | (x > 0)
-        is_open, start, sets = _without_full_sets(part, rest, ends, usable, sets >= len(network.most))
+        is_open, start, sets = _without_full_sets(part, slack, ends, usable, sets >= len(network.most))
         rows, first = rows[is_open], (np.cumsum(is_open) - 1)[mine]
         gap = precision / max(float(np.maximum.reduceat(weight[rows], start[:-1]).sum()), 1.0)
         return rows, WeightedProblem(start, weight[rows], *sets, first, NODES, gap, deadline)
@@ -143,17 +143,17 @@ class Patches:
         sets = np.unique(part.indices)
         sets = sets[sets < len(self.crosses)]  # the columns also contain the rules
         sets = sets[~self.crosses[sets]]
-        is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.rest[sets], ends)
+        is_open, start, sets = _without_full_sets(part.tocsr()[sets], self.slack[sets], ends)
         return WeightedProblem(start, value[rows[is_open]], *sets, None, NODES_OF_BOUND, GAP, deadline)
 
 
-def _without_full_sets(part, rest, ends, usable=True, is_rule=False):
+def _without_full_sets(part, slack, ends, usable=True, is_rule=False):
     """Return the candidates that are in no full set, their first index for each positioner, and the other sets.
 
-    ``rest`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
+    ``slack`` is the number of candidates of each set (row of ``part``) that may be used. Sets that cannot exceed this
     number are omitted. Rules (``is_rule``) also have elements other than 1, and are never omitted.
     """
-    is_open = (part.T @ ((rest < 0.5) & np.logical_not(is_rule)).astype(float) == 0) & usable
+    is_open = (part.T @ ((slack < 0.5) & np.logical_not(is_rule)).astype(float) == 0) & usable
     part = part[:, np.flatnonzero(is_open)].tocsr()
-    binding = np.flatnonzero((np.diff(part.indptr) > rest) | is_rule)
-    return is_open, np.concatenate([[0], np.cumsum(is_open)])[ends], (part[binding], rest[binding])
+    binding = np.flatnonzero((np.diff(part.indptr) > slack) | is_rule)
+    return is_open, np.concatenate([[0], np.cumsum(is_open)])[ends], (part[binding], slack[binding])

@@ -28,10 +28,10 @@ class Paths:
         candidate = real[np.argsort(target[real], kind="stable")]
         number = np.bincount(target[real], minlength=len(network.slot))
         cliques, rules = network.matrix[: network.n_cliques].tocsc(), network.rules.tocsc()
-        indices = [network.owner, target, network.rank, np.concatenate([[0], np.cumsum(number)]), candidate]
+        indices = [network.positioner, target, network.rank, np.concatenate([[0], np.cumsum(number)]), candidate]
         indices += [cliques.indptr, cliques.indices, rules.indptr, rules.indices]
         room = np.zeros(len(network.rule_most))
-        self.links = kernels.Links(*(one.astype(np.int64) for one in indices), rules.data.astype(float), room)
+        self.links = kernels.Links(*(index.astype(np.int64) for index in indices), rules.data.astype(float), room)
 
     def improve(
         self, chosen: np.ndarray, rng: np.random.Generator, is_over: Callable[[], bool], limits: np.ndarray

@@ -131,11 +131,11 @@ def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[
     expected = {"slot": ("i8", (n,)), "side": ("i1", (n,)), "numbers": ("f8", (3,))}
     expected |= {"bounds": per_level, "next_size": per_level, "steps": ("f8", (None, 1 + 2 * n_levels))}
     expected |= {"bounds_of_all?": per_level, "limits?": per_set, **{f"price{k}?": per_set for k in range(n_levels)}}
-    found = folder.load(STATE.removesuffix(".npz"), **expected)
-    if found is None:
+    stored = folder.load(STATE.removesuffix(".npz"), **expected)
+    if stored is None:
         return None
-    if all(np.isfinite(found[name]).all() for name in ("numbers", "next_size")) and found["numbers"].min() >= 0:
-        return found
+    if all(np.isfinite(stored[name]).all() for name in ("numbers", "next_size")) and stored["numbers"].min() >= 0:
+        return stored
     warn("the search for a joint plan starts again, because its stored state must contain finite numbers, got others")
     return None
 

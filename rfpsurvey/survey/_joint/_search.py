@@ -72,14 +72,7 @@ class Step(NamedTuple):
 class JointSearch:
     """A plan of all tiles, and upper bounds of its numbers of visits, which the iterations of a search improve.
 
-    Parameters
-    ----------
-    network : Network
-        The candidates of all tiles.
-    chosen : ndarray of int, shape (n_positioners,)
-        Candidate of each positioner in the first plan.
-    options : JointOptions
-        The options.
+    ``chosen`` is the candidate of each positioner in the first plan.
     """
 
     def __init__(self, network: Network, chosen: np.ndarray, options: JointOptions):
@@ -216,8 +209,8 @@ class Search(JointSearch):
             if self.bounds[k] == before[1][k]:
                 self.next_size[k] = self.size * GROWTH
         self.iteration += 1
-        rest = np.maximum(before[1] - before[0], 1.0)
-        gained = (self.visits - before[0] + before[1] - self.bounds) / rest
+        gap = np.maximum(before[1] - before[0], 1.0)
+        gained = (self.visits - before[0] + before[1] - self.bounds) / gap
         if (gained < LITTLE).all():
             self.size = min(self.size * GROWTH, self.options.patch_size * LARGEST)
         self._record()
@@ -258,6 +251,7 @@ class Search(JointSearch):
         deadline = self._deadline()
         problems = [patches.alone(k, value, deadline) for k in range(patches.n)]
         total = float(cross @ network.most) + float(value[patches.only].sum())
+        # an allowance for rounding errors, with which the sum remains an upper bound
         total += 1e-9 * (len(network.start) + float(np.abs(cross) @ np.abs(network.most)))
         for _, bound in map_in_order(executor, solve_weighted, problems):
             total += bound
@@ -282,9 +276,9 @@ class Search(JointSearch):
             of_targets = np.where(np.arange(n) >= network.n_cliques, price.price[:n], 0.0)
             scarce = network.matrix.T @ of_targets
         value = -scarce / max(scarce.max(initial=0.0), 1e-12)
-        others = network.rank == network.n_classes
-        if others.any():  # fibers without science targets observe sky positions and standards rather than nothing
-            value = 0.75 * value + 0.25 * others
+        unspent = network.rank == network.n_classes
+        if unspent.any():  # fibers without science targets observe sky positions and standards rather than nothing
+            value = 0.75 * value + 0.25 * unspent
         target = network.target[self.chosen]
         made = np.bincount(target[target >= 0], minlength=len(network.slot))
         unmet = np.append(network.visits > made, False)
@@ -317,15 +311,15 @@ class Search(JointSearch):
         for group in patches.colors():
             if self.out_of_time():
                 break
-            found, deadline = [], self._deadline()
+            programs, deadline = [], self._deadline()
             group = [k for k in group if is_useful(k)]
             for k in group:
                 tie = TIE / max(len(patches.members[k]), 1)
                 weight = by_class[network.rank] + tie * value
                 precision = PRECISION_OF_GOALS * tie if goals else PRECISION
-                found.append(patches.within(k, self.chosen, load, limits, weight, deadline, precision))
-            results = map_in_order(executor, solve_weighted, [problem for _, problem in found])
-            for k, (rows, _), (chosen, _) in zip(group, found, results, strict=True):
+                programs.append(patches.within(k, self.chosen, load, limits, weight, deadline, precision))
+            results = map_in_order(executor, solve_weighted, [problem for _, problem in programs])
+            for k, (rows, _), (chosen, _) in zip(group, programs, results, strict=True):
                 if chosen is not None:
                     self._take(patches.members[k], rows[chosen], load, limits, goals)
 
@@ -336,15 +330,15 @@ class Search(JointSearch):
         allows. If there are ``goals``, plans of equal value must increase the sum of the first of them that differs.
         """
         network, old = self.network, self.chosen[members]
-        counts = [tuple(network.counts(one)) for one in (old, new)]
+        counts = [tuple(network.counts(candidates)) for candidates in (old, new)]
         if counts[1] < counts[0] or np.array_equal(new, old):
             return
         goals = goals if counts[1] == counts[0] else ()
-        sums = [[one[plan].sum() for one in goals] for plan in (old, new)]
+        sums = [[goal[plan].sum() for goal in goals] for plan in (old, new)]
         if goals and tuple(sums[1]) <= tuple(sums[0]):
             return
         change = new != old
-        before, after = (network.columns[:, one[change]] for one in (old, new))
+        before, after = (network.columns[:, candidates[change]] for candidates in (old, new))
         sets, row = np.unique(np.append(before.indices, after.indices), return_inverse=True)
         added = np.bincount(row.reshape(-1), np.append(-before.data, after.data), len(sets))
         if (load[sets] + added > limits[sets] + TOLERANCE).any():

@@ -87,8 +87,8 @@ def list_all(
     tiles, vectors = zip(*parts, strict=True)
     class_of, names = classes_of(request)
     if reuse:
-        both = [_with_slots(tile, slot, len(left)) for tile, slot in zip(tiles, slots, strict=True)]
-        tiles, slots = zip(*both, strict=True)
+        with_copies = [_with_slots(tile, slot, len(left)) for tile, slot in zip(tiles, slots, strict=True)]
+        tiles, slots = zip(*with_copies, strict=True)
         left, class_of = np.tile(left, 2), np.append(class_of, np.full(len(left), len(names)))
     network = make_network(list(tiles), list(slots), left, class_of, len(names))
     return network, np.concatenate(vectors), subpriority
@@ -105,8 +105,8 @@ def _with_slots(tile: TileCandidates, slots: np.ndarray, n: int) -> tuple[TileCa
     rows, k = np.unique(-2 - tile.target[tile.target < -1]), len(slots)
 
     def moved(target):
-        others = np.where(target < k, target, target + len(rows))  # blank sky positions are the last targets
-        return np.where(target < -1, k + np.searchsorted(rows, -2 - target), others).astype(np.int32)
+        shifted = np.where(target < k, target, target + len(rows))  # blank sky positions are the last targets
+        return np.where(target < -1, k + np.searchsorted(rows, -2 - target), shifted).astype(np.int32)
 
     tile = tile._replace(target=moved(tile.target), pairs=(tile.pairs[0], moved(tile.pairs[1])))
     return tile, np.append(slots, slots[rows] + n)
@@ -122,11 +122,11 @@ def classes_of(request) -> tuple[np.ndarray, list[str]]:
     priority, wanted, required = request.source.by_slot("priority"), builder.left > 0, builder.is_required
     wanted = wanted if builder.spends is None else wanted & builder.spends
     first = np.zeros(len(wanted), dtype=bool) if required is None else required & wanted
-    rest = wanted & ~first
-    if priority is None or not rest.any():
+    not_required = wanted & ~first
+    if priority is None or not not_required.any():
         class_of, names = np.zeros(len(wanted), dtype=np.int64), ["all"]
     else:
-        values = np.unique(priority[rest])[::-1]
+        values = np.unique(priority[not_required])[::-1]
         class_of, names = np.searchsorted(-values, -priority), [exact_text(value) for value in values]
     if first.any():
         class_of, names = np.where(first, 0, class_of + 1), ["required", *names]
@@ -137,12 +137,12 @@ def classes_of(request) -> tuple[np.ndarray, list[str]]:
 def place(network: Network, plans: list[TilePlan]) -> np.ndarray:
     """Return the planned candidate of each positioner, or its idle arm if the planned target is not a candidate."""
     slot, side = (np.concatenate([getattr(plan, name) for plan in plans]) for name in ("slot", "side"))
-    own = network.owner
-    same = np.append(network.slot, -1)[network.target] == slot[own]
-    fits = same & (network.side == side[own]) & (network.target >= 0)
+    positioner = network.positioner
+    same = np.append(network.slot, -1)[network.target] == slot[positioner]
+    fits = same & (network.side == side[positioner]) & (network.target >= 0)
     chosen = network.start[1:] - 1
     rows = np.flatnonzero(fits)
-    chosen[own[rows]] = rows
+    chosen[positioner[rows]] = rows
     return chosen
 
 
@@ -185,13 +185,13 @@ def goals_of(request, network: Network, subpriority: np.ndarray | None) -> list[
 
     They are the sum of the subpriorities of all visits and, if requested, the number of visits in early passes.
     """
-    real, found = network.rank < network.n_classes, []
+    real, goals = network.rank < network.n_classes, []
     if subpriority is not None:
         slot = np.where(real, np.append(network.slot, -1)[network.target], -1)  # blank sky has no subpriority
         value = np.append(subpriority, 0.0)[slot]
         low, high = value[real].min(initial=np.inf), value[real].max(initial=-np.inf)
-        found.append(np.where(real, (value - low) / max(high - low, 1e-300), 0.0))
+        goals.append(np.where(real, (value - low) / max(high - low, 1e-300), 0.0))
     if request.joint.early:
-        number = np.repeat(request.number, np.diff(network.first))[network.owner]
-        found.append(np.where(real, 1.0 - number / max(len(request.passes) - 1, 1), 0.0))
-    return found
+        number = np.repeat(request.number, np.diff(network.first))[network.positioner]
+        goals.append(np.where(real, 1.0 - number / max(len(request.passes) - 1, 1), 0.0))
+    return goals

@@ -26,17 +26,7 @@ ROUNDING = 1e-6, 1e-9
 
 
 class WindowSearch(JointSearch):
-    """A plan of all tiles that observes targets in their windows, and upper bounds.
-
-    Parameters
-    ----------
-    network : Network
-        The candidates of all tiles.
-    chosen : ndarray of int, shape (n_positioners,)
-        Candidate of each positioner in the first plan.
-    request : Request
-        The request of the survey, with cadences.
-    """
+    """A plan of all tiles that observes targets in their windows, and upper bounds."""
 
     def __init__(self, network: Network, chosen: np.ndarray, request):
         super().__init__(network, chosen, request.joint)
@@ -79,7 +69,7 @@ class WindowSearch(JointSearch):
 
     def begin(self) -> None:
         """Improve the first plan, and compute the bounds."""
-        self.bounds_complete, self.bounds = (self._without_limits(*one) for one in (WHOLE, VISIT))
+        self.bounds_complete, self.bounds = (self._without_limits(*values) for values in (WHOLE, VISIT))
         self.bounds_of_all = self.bounds.copy()
         self._record()
         self._improve(1)
@@ -138,7 +128,7 @@ class WindowSearch(JointSearch):
 
         The requirements share no candidates.
         """
-        network, taken, found = self.network, np.zeros(len(self.network.target), dtype=bool), []
+        network, taken, minima = self.network, np.zeros(len(self.network.target), dtype=bool), []
         cliques = network.matrix[: network.n_cliques].tocsc()
         for row in np.flatnonzero(network.is_count & (self.limits < 0)).tolist():
             part = network.rules[[row]]
@@ -147,8 +137,8 @@ class WindowSearch(JointSearch):
             if len(members) and is_sky and not taken[members].any():
                 taken[members] = True
                 members = np.sort(members)
-                found.append((members, cliques[:, members], int(-self.limits[row])))
-        return found
+                minima.append((members, cliques[:, members], int(-self.limits[row])))
+        return minima
 
     def _without_limits(self, per_visit: float, per_whole: float) -> np.ndarray:
         """Return the largest sum of the values of the targets of each level if tiles observe all targets in reach.
@@ -156,8 +146,8 @@ class WindowSearch(JointSearch):
         The parameters are those of `_bound`.
         """
         network, n_tiles = self.network, len(self._dates.day)
-        own, target = network.pairs
-        tile = np.repeat(self._time_of, np.diff(network.first))[own]
+        positioner, target = network.pairs
+        tile = np.repeat(self._time_of, np.diff(network.first))[positioner]
         places = np.unique(target.astype(np.int64) * n_tiles + tile)
         dates = self._dates._replace(p_indptr=_starts(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
         work, picked = _work_for(dates)
@@ -185,18 +175,19 @@ class WindowSearch(JointSearch):
         """
         network, links, n = self.network, self._links, self.network.n_cliques
         active = (network.rank_of_target <= self.levels[level]).astype(float)
-        price, own = np.zeros(n), np.zeros(len(network.start) - 1)
+        price, arm_price = np.zeros(n), np.zeros(len(network.start) - 1)
         best, step, late = np.inf, 1.0, 0
         given = per_visit * active, per_whole * active, links, self._dates, self._work, self._picked, self._cost
         for _ in range(N_STEPS):
-            usage, own_usage = np.zeros(n), np.zeros(len(own))
-            total = kernels.use_prices(price, own, *given, usage, own_usage) + price.sum() + own.sum()
+            usage, arm_usage = np.zeros(n), np.zeros(len(arm_price))
+            total = kernels.use_prices(price, arm_price, *given, usage, arm_usage) + price.sum() + arm_price.sum()
             for members, cliques, number in rules:
-                costs = own[network.owner[members]] + cliques.T @ price
+                # every plan uses at least this number of these candidates, and pays at least the cheapest ones
+                costs = arm_price[network.positioner[members]] + cliques.T @ price
                 order = np.argsort(costs, kind="stable")
-                order = order[np.sort(np.unique(network.owner[members][order], return_index=True)[1])][:number]
+                order = order[np.sort(np.unique(network.positioner[members][order], return_index=True)[1])][:number]
                 total -= costs[order].sum()
-                own_usage[network.owner[members][order]] += 1.0
+                arm_usage[network.positioner[members][order]] += 1.0
                 usage += cliques[:, order].sum(axis=1)
             late = 0 if total < best else late + 1
             best = min(best, total)
@@ -204,14 +195,16 @@ class WindowSearch(JointSearch):
                 step, late = step / 2, 0
             if best < value + 1 or self.out_of_time(limit):
                 break
-            more, own_more = usage - 1.0, own_usage - 1.0
-            more[(price == 0) & (more < 0)] = own_more[(own == 0) & (own_more < 0)] = 0.0
-            norm = more @ more + own_more @ own_more
+            more, arm_more = usage - 1.0, arm_usage - 1.0
+            # prices are not negative, so that a price of 0 cannot decrease
+            more[(price == 0) & (more < 0)] = arm_more[(arm_price == 0) & (arm_more < 0)] = 0.0
+            norm = more @ more + arm_more @ arm_more
             if norm == 0:
                 break
+            # Polyak's step: the value of the present plan stands for the unknown smallest bound
             size = step * (total - value) / norm
-            price, own = np.maximum(price + size * more, 0.0), np.maximum(own + size * own_more, 0.0)
-        return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + own.sum())))
+            price, arm_price = np.maximum(price + size * more, 0.0), np.maximum(arm_price + size * arm_more, 0.0)
+        return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + arm_price.sum())))
 
 
 def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
@@ -227,19 +220,19 @@ def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.
     epochs = cadences.epochs
     low, high, n_exp, limit = np.concatenate(epochs, axis=1)
     real = np.flatnonzero(network.rank < network.n_classes)
-    tile = np.repeat(time_of, np.diff(network.first))[network.owner[real]]
+    tile = np.repeat(time_of, np.diff(network.first))[network.positioner[real]]
     key = network.target[real].astype(np.int64) * n_tiles + tile
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)
     place_of = np.full(len(network.target), -1)
     place_of[real] = place
-    own = request.source.to_slots(row)
+    cadence_of_target = request.source.to_slots(row)
     # standards, sky positions, and copies of targets that are used only in these roles have no cadence
     counted = network.rank_of_target < network.n_classes
     cadence = np.full(n_targets, -1)
-    cadence[counted] = own[network.slot[counted]]
+    cadence[counted] = cadence_of_target[network.slot[counted]]
     cliques = network.matrix[: network.n_cliques]
-    first_epoch = np.cumsum([0, *(one.shape[1] for one in epochs)])
+    first_epoch = np.cumsum([0, *(epochs_of_cadence.shape[1] for epochs_of_cadence in epochs)])
     of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
     of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
     of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
