@@ -55,7 +55,7 @@ BOMBS = {
     "newlines.csv.bz2": lambda: bz2.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000),
     "newlines.ecsv.xz": lambda: lzma.compress(b"# %ECSV 1.0\n" + b"\n" * 70_000_000, preset=0),
     "newlines.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"\n" * 20_000_000,
-    "comments.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"#\n" * 3_000_000,
+    "comments.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"#\n" * 1_100_000,
     "zeros.fits.gz": lambda: gzip.compress(
         fits(("NAXIS1", 8), ("NAXIS2", 36_000_000), ("TFIELDS", 1), ("TFORM1", "'D'")) + bytes(288_000_000), 1
     ),
@@ -100,9 +100,7 @@ def reports(request, tmp_path_factory):
     return {line.split("\t")[0]: line.split("\t")[1:] for line in done.stdout.strip().split("\n")}
 
 
-@pytest.mark.parametrize(
-    "name", [pytest.param(name, marks=pytest.mark.exhaustive if name == "comments.csv" else ()) for name in BOMBS]
-)
+@pytest.mark.parametrize("name", BOMBS)
 def test_a_small_file_takes_little_time_and_memory(reports, name):
     """Regression: 3 MB of compressed line breaks took 64 s and 6 GB, many columns 65 s and 11 GB, one key 59 s."""
     seconds, n_bytes, text = reports[name]
