@@ -178,14 +178,13 @@ def test_votables_of_each_form(tmp_path, form):
 
 # --- unhandled exceptions ------------------------------------------------------------------------------------------
 
+META = {3: "int", "3": "int", '["a"]': "list", '"text"': "str"}
+
 
 @pytest.mark.parametrize(
     ("value", "message"),
     [
-        (3, "must be an object in JSON, got int"),
-        ("3", "must be an object in JSON, got int"),
-        ('["a"]', "must be an object in JSON, got list"),
-        ('"text"', "must be an object in JSON, got str"),
+        *((value, f"must be an object in JSON, got {kind}") for value, kind in META.items()),
         ("[" * 100_000, "must be nested at most 32 levels deep, got more"),
         ('{"a":' + "[" * 40 + "]" * 40 + "}", "values must be nested at most 32 levels deep, got more"),
         (json.dumps({"a": [0] * 100_001}), "at most 100000 values"),
@@ -193,8 +192,7 @@ def test_votables_of_each_form(tmp_path, form):
     ids=["number", "number in JSON", "list", "text", "open", "nested", "long"],
 )
 def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
-    table = Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value})
-    table.write(tmp_path / "a.fits")
+    Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value}).write(tmp_path / "a.fits")
     assert message in refusal(tmp_path / "a.fits")
 
 
@@ -316,14 +314,6 @@ def test_fits_headers_must_agree_with_the_file(tmp_path):
         read_fits_bytes(good.replace(b"'dec     '", b"'ra      '"), "a part")
 
 
-def test_the_first_of_several_tables_is_read_with_a_warning(tmp_path):
-    path = tmp_path / "a.fits"
-    fits.HDUList([fits.PrimaryHDU(), *(fits.table_to_hdu(QTable(PLACES)) for _ in range(2))]).writeto(path)
-    text = "the file has 2 tables, and only the first one was read: 1, 2; to read another table, give hdu= or --set "
-    with pytest.warns(rs.RfpsurveyWarning, match=text):
-        assert len(rs.Catalog.read(path)) == 2
-
-
 def test_fits_tables_of_text_are_read(tmp_path):
     columns = [fits.Column("id", "A7", array=["a", "star 2"]), fits.Column("ra", "F7.3", array=[1.5, 20.25])]
     path = tmp_path / "a.fits"
@@ -383,6 +373,7 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
         **{kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")},
     }
     cards = {"TILE": "it is", "RA": 12.5, "SMALL": 1e-300, "N": (-3, "a comment / with a slash"), "YES": True}
+    cards |= {"LONG": "long text " * 15, "NONE": ""}
     content = _io.fits_bytes(columns, cards)
     plain = read_plain(content)
     monkeypatch.setattr("rfpsurvey._readers._fits.read_plain", lambda _: None)
