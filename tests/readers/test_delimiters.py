@@ -45,43 +45,35 @@ def test_quoted_values_may_hold_the_delimiter(path, delimiter):
         assert message in refusal(written(path, text.replace(";", delimiter)))
 
 
-NO_ROW = "the first row must contain the names of the columns, got no row"
-NO_NAMES = "the first row must contain the names of the columns, got '10'"
-DECIMAL = (
-    "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'; replace the decimal comma with a point"
-)
+def test_files_without_names_or_delimiters_are_refused(path):
+    decimal = (
+        "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'; replace the decimal comma with"
+    )
+    for message, contents in {
+        "commas must separate the names of the columns, got blanks in 'ra dec'": ["ra dec\n10 20\n"],
+        "got semicolon and vertical bar; put commas between all columns": ["id;ra|dec\na;10|20\n"],
+        f"{decimal} a point": ["ra;dec\n10,5;20,5\n"],
+        "the first row must contain the names of the columns, got no row": ["", "# nothing\n", "\n\n"],
+        "the first row must contain the names of the columns, got '10'": [
+            f"{before}10,20\n11,21\n" for before in ("", "# a comment\n", "# 1,2\n")
+        ],
+        "must be text in UTF-8, got UTF-16; save it as UTF-8": ["ra,dec\n10,20\n".encode("utf-16")],
+    }.items():
+        for content in contents:
+            assert message in refusal(written(path, content))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("id;ra|dec\na;10|20\n", "one delimiter must separate the columns, got semicolon and vertical bar; put commas"),
-        ("ra dec\n10 20\n", "commas must separate the names of the columns, got blanks in 'ra dec'"),
-        *((content, NO_ROW) for content in ("", "# nothing\n", "\n\n")),
-        ("ra;dec\n10,5;20,5\n", DECIMAL),
-        *((f"{before}10,20\n11,21\n", NO_NAMES) for before in ("", "# a comment\n", "# 1,2\n")),
-        ("ra,dec\n10,20\n".encode("utf-16"), "the file must be text in UTF-8, got UTF-16; save it as UTF-8"),
-    ],
-)
-def test_files_without_names_or_delimiters_are_refused(path, content, message):
-    assert message in refusal(written(path, content))
-
-
-@pytest.mark.parametrize(
-    ("content", "expected"),
-    [
+def test_names_and_delimiters_are_found(path):
+    """Two delimiters are distinguished by the first row; names can be in a comment or after lines of spreadsheets."""
+    for content, expected in (
         ("ra,dec,name; or id\n10,20,x\n", [10]),
         ("ra;dec;name, or id\n10;20;x\n", [10]),
         ("# from somewhere\n# ra, dec\n10,20\n11,21\n", [10, 11]),
         ('RAJ2000;DEJ2000\n"h:m:s";"d:m:s"\n-----;---\n06 20 00;+23 00 00\n', [95]),
-        ("ra;dec\n--;--\n10;20\n", [10]),
+        ("ra;dec\n--;--\n10;20\n", [10]),  # a line of dashes without a line of units
         (b"\xef\xbb\xbfsep=;\r\nra;dec\r\n10;20\r\n", [10]),
-    ],
-    ids=["comma", "semicolon", "comment", "units of text", "dashes without units", "spreadsheet"],
-)
-def test_names_and_delimiters_are_found(path, content, expected):
-    """Two delimiters are distinguished by the first row; names can be in a comment or after lines of spreadsheets."""
-    assert rs.Catalog.read(written(path, content)).coord.ra.deg.tolist() == pytest.approx(expected)
+    ):
+        assert rs.Catalog.read(written(path, content)).coord.ra.deg.tolist() == pytest.approx(expected)
 
 
 def test_tables_of_vizier_have_units(tmp_path):

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from astropy.io.fits import Header
 
 import rfpsurvey as rs
 from refusals import refusal, written
@@ -34,57 +35,43 @@ for path in sorted(Path(sys.argv[1]).iterdir()):
 """
 
 
-def card(key, value):
-    return f"{key:8}= {value:>20}".ljust(80).encode()
-
-
 def fits(*cards):
-    primary = [("SIMPLE", "T"), ("BITPIX", 8), ("NAXIS", 0)]
-    table = [("XTENSION", "'BINTABLE'"), ("BITPIX", 8), ("NAXIS", 2), *cards, ("PCOUNT", 0), ("GCOUNT", 1)]
-    headers = [b"".join(card(*c) for c in unit) + b"END".ljust(80) for unit in (primary, table)]
-    return b"".join(header.ljust(-(-len(header) // 2880) * 2880) for header in headers)
+    primary = Header([("SIMPLE", True), ("BITPIX", 8), ("NAXIS", 0)])
+    structure = [("XTENSION", "BINTABLE"), ("BITPIX", 8), ("NAXIS", 2), *cards, ("PCOUNT", 0), ("GCOUNT", 1)]
+    return (primary.tostring() + Header(structure).tostring()).encode()
 
 
 VOTABLE = (
     '<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/><DATA>'
     "<TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"
 )
+INTEGERS = "# - {name: a, datatype: int64}\n"
 ECSV = "# %ECSV 1.0\n# ---\n# datatype:\n"
+ALIASES = "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12))
+ENTITIES = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
+SHAPE = "# - {name: b, datatype: string, subtype: 'float64[1000,1000,1000]'}\n"
+ZEROS = ("NAXIS1", 8), ("NAXIS2", 36_000_000), ("TFIELDS", 1), ("TFORM1", "D")
 BOMBS = {
     "newlines.csv.gz": lambda: gzip.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000, 1),
     "newlines.csv.bz2": lambda: bz2.compress(b"id,ra,dec\n1,2,3\n" + b"\n" * 70_000_000),
     "newlines.ecsv.xz": lambda: lzma.compress(b"# %ECSV 1.0\n" + b"\n" * 70_000_000, preset=0),
     "newlines.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"\n" * 20_000_000,
     "comments.csv": lambda: b"id,ra,dec\n1,2,3\n" + b"#\n" * 1_100_000,
-    "zeros.fits.gz": lambda: gzip.compress(
-        fits(("NAXIS1", 8), ("NAXIS2", 36_000_000), ("TFIELDS", 1), ("TFORM1", "'D'")) + bytes(288_000_000), 1
-    ),
+    "zeros.fits.gz": lambda: gzip.compress(fits(*ZEROS) + bytes(288_000_000), 1),
     "columns.csv": lambda: b",".join(b"a%d" % k for k in range(200_000)) + b"\n",
     "wide.csv": lambda: b"id,ra,dec\n" + b"x" * 2_000_000 + b",1,2\n" + b"a,1,2\n" * 1_000_000,
     "fields.fits": lambda: fits(("NAXIS1", 8), ("NAXIS2", 1), ("TFIELDS", 999999999)) + bytes(2880),
-    "rows.fits": lambda: fits(("NAXIS1", 0), ("NAXIS2", 10**10), ("TFIELDS", 1), ("TFORM1", "'0A'")),
-    "cards.fits": lambda: card("SIMPLE", "T") + b"COMMENT".ljust(80) * 300_000,
-    "keys.toml": lambda: (".".join(["a"] * 50_000) + " = 1").encode(),
-    "more_keys.toml": lambda: "\n".join(f"a.b{k}.c = 1" for k in range(60_000)).encode(),
-    "large.toml": lambda: b"# comment\n" * 200_000,
-    "header.ecsv": lambda: (ECSV + "# - {name: a, datatype: int64}\n" * 100_000 + "a\n").encode(),
-    "laughs.ecsv": lambda: (
-        ECSV
-        + "# - {name: a, datatype: int64}\n# meta:\n#   a0: &a0 [x]\n"
-        + "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12))
-        + "a\n1\n"
-    ).encode(),
-    "shape.ecsv": lambda: (
-        ECSV + "# - {name: a, datatype: string, subtype: 'float64[1000,1000,1000]'}\n"
-        '# - {name: b, datatype: int64}\na b\n"" 1\n'
-    ).encode(),
-    "laughs.vot": lambda: (
-        '<?xml version="1.0"?><!DOCTYPE V [<!ENTITY a0 "x">'
-        + "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
-        + "]><VOTABLE>&a11;</VOTABLE>"
-    ).encode(),
-    "arraysize.vot": lambda: VOTABLE.format("", "char", ' arraysize="100000000"').encode(),
-    "nrows.vot": lambda: VOTABLE.format(' nrows="3000000000"', "double", "").encode(),
+    "rows.fits": lambda: fits(("NAXIS1", 0), ("NAXIS2", 10**10), ("TFIELDS", 1), ("TFORM1", "0A")),
+    "cards.fits": lambda: b"SIMPLE  =                    T".ljust(80) + b"COMMENT".ljust(80) * 300_000,
+    "keys.toml": lambda: ".".join(["a"] * 50_000) + " = 1",
+    "more_keys.toml": lambda: "\n".join(f"a.b{k}.c = 1" for k in range(60_000)),
+    "large.toml": lambda: "# comment\n" * 200_000,
+    "header.ecsv": lambda: ECSV + INTEGERS * 100_000 + "a\n",
+    "laughs.ecsv": lambda: f"{ECSV}{INTEGERS}# meta:\n#   a0: &a0 [x]\n{ALIASES}a\n1\n",
+    "shape.ecsv": lambda: f'{ECSV}{INTEGERS}{SHAPE}a b\n1 ""\n',
+    "laughs.vot": lambda: f'<?xml version="1.0"?><!DOCTYPE V [<!ENTITY a0 "x">{ENTITIES}]><VOTABLE>&a11;</VOTABLE>',
+    "arraysize.vot": lambda: VOTABLE.format("", "char", ' arraysize="100000000"'),
+    "nrows.vot": lambda: VOTABLE.format(' nrows="3000000000"', "double", ""),
 }
 
 

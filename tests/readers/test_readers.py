@@ -40,28 +40,21 @@ def test_an_open_quotation_mark_drops_no_rows(tmp_path, name, end):
     assert f"{UNCLOSED} 50" in refusal(written(tmp_path / name, content))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        (rows([*OPEN[:58], OPEN[58] + '"', *OPEN[59:]]), f"{UNCLOSED} 50"),
-        *((rows([text, *GOOD]), f"{UNCLOSED} 2") for text in ('a "b,"c d,1,2', 'a,"b",1,"2', ' "x,1,2', '"a""b,1,2')),
-        ('"id,ra,dec\na,10,20\n', f"{UNCLOSED} 1"),
-        *(
-            (rows([*GOOD[:2], line, *GOOD[2:]]), f"line 4 must {message}")
-            for line, message in (
-                ("b,10.5", "have 3 fields, like the first line, got 2 fields"),
-                ("b,10.5,1,2", "have 3 fields, like the first line, got 4 fields"),
-                ('"b,10.5",1', "have 3 fields, like the first line, got 2 fields"),
-                ("b\0,10.5,1", "be text, got a NUL byte"),
-                ("b\x85\udce4,10.5,1", "be text in UTF-8, got the byte 0xe4"),
-            )
-        ),
-        ("id,ra,dec,pmra,pmdec\na,10,20,1e20,1\n", "column 'pmra' (pmra) must lie between"),
-    ],
-)
-def test_rows_that_are_not_whole_are_refused(tmp_path, content, message):
+def test_rows_that_are_not_whole_are_refused(tmp_path):
     """Regression: short rows had empty values, a NUL byte shifted all values after it, and ten rows were one value."""
-    assert message in refusal(written(tmp_path / "a.csv", content))
+    assert f"{UNCLOSED} 50" in refusal(written(tmp_path / "a.csv", rows([*OPEN[:58], OPEN[58] + '"', *OPEN[59:]])))
+    for text in ('a "b,"c d,1,2', 'a,"b",1,"2', ' "x,1,2', '"a""b,1,2'):
+        assert f"{UNCLOSED} 2" in refusal(written(tmp_path / "a.csv", rows([text, *GOOD])))
+    for line, message in (
+        ("b,10.5", "have 3 fields, like the first line, got 2 fields"),
+        ("b,10.5,1,2", "have 3 fields, like the first line, got 4 fields"),
+        ('"b,10.5",1', "have 3 fields, like the first line, got 2 fields"),
+        ("b\0,10.5,1", "be text, got a NUL byte"),
+        ("b\x85\udce4,10.5,1", "be text in UTF-8, got the byte 0xe4"),
+    ):
+        path = written(tmp_path / "a.csv", rows([*GOOD[:2], line, *GOOD[2:]]))
+        assert f"line 4 must {message}" in refusal(path)
+    assert f"{UNCLOSED} 1" in refusal(written(path, '"id,ra,dec\na,10,20\n'))
 
 
 @pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
@@ -112,6 +105,8 @@ def test_numbers_beyond_doubles_are_told(tmp_path):
     with pytest.warns(rs.RfpsurveyWarning, match="column pmra"):
         catalog = rs.Catalog.read(path)
     assert np.isnan(catalog.coord.pm_ra_cosdec).tolist() == [True, False]
+    text = "id,ra,dec,pmra,pmdec\na,10,20,1e20,1\n"
+    assert "column 'pmra' (pmra) must lie between" in refusal(written(path, text))
 
 
 # --- VOTables ------------------------------------------------------------------------------------------------------
@@ -171,22 +166,16 @@ def test_votables_of_each_form(tmp_path, form):
 
 # --- unhandled exceptions ------------------------------------------------------------------------------------------
 
-META = {3: "int", "3": "int", '["a"]': "list", '"text"': "str"}
 
-
-@pytest.mark.parametrize(
-    ("value", "message"),
-    [
-        *((value, f"must be an object in JSON, got {kind}") for value, kind in META.items()),
-        ("[" * 100_000, "must be nested at most 32 levels deep, got more"),
-        ('{"a":' + "[" * 40 + "]" * 40 + "}", "values must be nested at most 32 levels deep, got more"),
-        (json.dumps({"a": [0] * 100_001}), "at most 100000 values"),
-    ],
-    ids=["number", "number in JSON", "list", "text", "open", "nested", "long"],
-)
-def test_the_meta_of_a_table_must_be_an_object(tmp_path, value, message):
-    Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value}).write(tmp_path / "a.fits")
-    assert message in refusal(tmp_path / "a.fits")
+def test_the_meta_of_a_table_must_be_an_object(tmp_path):
+    kinds, path = {3: "int", "3": "int", '["a"]': "list", '"text"': "str"}, tmp_path / "a.fits"
+    messages = {value: f"must be an object in JSON, got {kind}" for value, kind in kinds.items()}
+    messages["[" * 100_000] = "must be nested at most 32 levels deep, got more"
+    messages['{"a":' + "[" * 40 + "]" * 40 + "}"] = "values must be nested at most 32 levels deep, got more"
+    messages[json.dumps({"a": [0] * 100_001})] = "at most 100000 values"
+    for value, message in messages.items():
+        Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": value}).write(path, overwrite=True)
+        assert message in refusal(path)
 
 
 def test_deeply_nested_documents_are_refused(tmp_path):
@@ -311,9 +300,7 @@ def test_fits_tables_of_text_are_read(tmp_path):
     columns = [fits.Column("id", "A7", array=["a", "star 2"]), fits.Column("ra", "F7.3", array=[1.5, 20.25])]
     path = tmp_path / "a.fits"
     fits.TableHDU.from_columns(columns).writeto(path)
-    table = read_table(path)
-    assert table["id"].tolist() == ["a", "star 2"]
-    assert table["ra"].tolist() == [1.5, 20.25]
+    assert [column.tolist() for column in read_table(path).itercols()] == [["a", "star 2"], [1.5, 20.25]]
 
 
 # --- at the command line -------------------------------------------------------------------------------------------

@@ -27,16 +27,10 @@ TARGETS = (("a", "Größe", [1.5, 2.5], [[1, 2], [3, 4], [5, 6]]), ("star 2", ""
 def row(number, text, note, flux, pairs):
     """Return the bytes of a row: each array of variable length is preceded by the number of its elements."""
     numbers = [n for pair in pairs for n in pair]
-    return b"".join(
-        [
-            struct.pack(">dd", number, 20.0),
-            struct.pack(">I", len(text)) + text.encode("ascii"),
-            struct.pack(">I", len(note)) + note.encode("utf-16-be"),
-            struct.pack(f">I{len(flux)}f", len(flux), *flux),
-            struct.pack(f">I{len(numbers)}h", len(pairs), *numbers),
-            b"\xff\xc0",  # ten bits
-        ]
-    )
+    found = struct.pack(">ddI", number, 20.0, len(text)) + text.encode("ascii")
+    found += struct.pack(">I", len(note)) + note.encode("utf-16-be")
+    found += struct.pack(f">I{len(flux)}f", len(flux), *flux)
+    return found + struct.pack(f">I{len(numbers)}h", len(pairs), *numbers) + b"\xff\xc0"  # the last are ten bits
 
 
 def document(content, kind="BINARY", fields=COORDINATES + FIELDS, how='encoding="base64"'):
