@@ -18,12 +18,12 @@ def path(tmp_path):
     return tmp_path / "a.csv"
 
 
-ROWS = {"comma": ",", "semicolon": ";", "tab": "\t", "bar": "|"}
+DELIMITERS = pytest.mark.parametrize("delimiter", [",", ";", "\t", "|"], ids=["comma", "semicolon", "tab", "bar"])
 
 
 @pytest.mark.parametrize("name", ["a.csv", "a.tsv", "a.csv.gz"])
 @pytest.mark.parametrize("text", ["s", "ä"])  # a different reader of astropy reads this
-@pytest.mark.parametrize("delimiter", ROWS.values(), ids=ROWS)
+@DELIMITERS
 def test_the_delimiter_is_found_in_the_line_of_names(tmp_path, delimiter, text, name):
     rows = ["id,ra,dec,pmra,pmdec", f"{text},10,20,1,2", ",11,21,,", "b,12,22,3,4"]
     content = "\n".join(rows).replace(",", delimiter).encode()
@@ -46,18 +46,16 @@ def test_quoted_values_may_hold_the_delimiter(path, delimiter):
 
 
 def test_files_without_names_or_delimiters_are_refused(path):
-    decimal = (
-        "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'; replace the decimal comma with"
-    )
+    numbers = "column 'ra' (ra) must hold decimal numbers or sexagesimal text, got '10,5'"
+    two = "one delimiter must separate the columns, got semicolon and vertical bar; put commas"
+    begins = ("", "# a comment\n", "# 1,2\n")
     for message, contents in {
         "commas must separate the names of the columns, got blanks in 'ra dec'": ["ra dec\n10 20\n"],
-        "got semicolon and vertical bar; put commas between all columns": ["id;ra|dec\na;10|20\n"],
-        f"{decimal} a point": ["ra;dec\n10,5;20,5\n"],
+        two: ["id;ra|dec\na;10|20\n"],
+        f"{numbers}; replace the decimal comma with a point": ["ra;dec\n10,5;20,5\n"],
         "the first row must contain the names of the columns, got no row": ["", "# nothing\n", "\n\n"],
-        "the first row must contain the names of the columns, got '10'": [
-            f"{before}10,20\n11,21\n" for before in ("", "# a comment\n", "# 1,2\n")
-        ],
-        "must be text in UTF-8, got UTF-16; save it as UTF-8": ["ra,dec\n10,20\n".encode("utf-16")],
+        "the first row must contain the names of the columns, got '10'": [f"{one}10,20\n11,21\n" for one in begins],
+        "the file must be text in UTF-8, got UTF-16; save it as UTF-8": ["ra,dec\n10,20\n".encode("utf-16")],
     }.items():
         for content in contents:
             assert message in refusal(written(path, content))
@@ -102,7 +100,7 @@ LEADING |= {"zero": [0, 3, 10], "signed": [-5, 5, 7], "dec": [5, 1.5, 2]}
 
 
 @pytest.mark.parametrize("last", ["s", "ä"])  # a different reader of astropy reads this
-@pytest.mark.parametrize("delimiter", ROWS.values(), ids=ROWS)
+@DELIMITERS
 def test_digits_with_leading_zeros_stay_text(path, delimiter, last):
     rows = ["id,n,zero,signed,dec,quoted,gap,last", '001,1,0,-5,05,"007",,a', '01,20,3,05,1.5,"8",02,b']
     rows.append(f'12,3,10,7,2,"9",3,{last}')

@@ -4,6 +4,7 @@ import gzip
 import json
 import struct
 import urllib.request
+from functools import partial
 
 import astropy.units as u
 import numpy as np
@@ -323,7 +324,38 @@ def test_masked_columns_stay_masked(tmp_path):
         assert rs.Catalog.read(tmp_path / name).category.tolist() == ["", "b"]
 
 
-# --- all tables of a FITS file ---------------------------------------------------------------------------------------
+# --- several tables of a FITS file -----------------------------------------------------------------------------------
+
+
+def test_a_table_of_a_file_is_chosen_by_its_number_or_name(tmp_path):
+    """Only the first table of a FITS file could be read."""
+    path = tmp_path / "a.fits"
+    hdus = [fits.PrimaryHDU(), fits.ImageHDU(np.zeros((2, 2)))]
+    for n, name in ((1, "TARGETS"), (2, "sky"), (3, "TWICE"), (4, "TWICE"), (5, "")):
+        hdus.append(fits.table_to_hdu(QTable({"ra": np.arange(n) * DEG, "dec": np.arange(n) * DEG})))
+        hdus[-1].name = name
+    fits.HDUList(hdus).writeto(path)
+    for hdu, n in ((2, 1), ("2", 1), (np.int32(3), 2), ("SKY", 2), (" targets ", 1), (5, 4), (6, 5)):
+        for read in (rs.Catalog.read, rs.Tiling.read):
+            assert len(read(path, hdu=hdu)) == n
+    text = (
+        r"the file has 5 tables, and only the first one was read: 2 \(TARGETS\), 3 \(SKY\), 4 .*, 6; to read another "
+    )
+    for read, remedy in ((rs.Catalog.read, "table, give hdu= or --set "), (rs.Tiling.read, ".*--set tiles.hdu=NAME$")):
+        with pytest.warns(rs.RfpsurveyWarning, match=text + remedy):
+            assert len(read(path)) == 1
+    assert rs.Catalog.read(path, hdu="sky").meta["hdu"] == "sky"
+    rs.Catalog.read(path, hdu=3).write(tmp_path / "a.ecsv")
+    tables = "the number or the unique name of a table in the file (2 (TARGETS), 3 (SKY), 4 (TWICE), 5 (TWICE), 6)"
+    for name, hdu, message in (
+        *(("a.fits", hdu, f"must be {tables}, got {hdu!r}") for hdu in (0, 1, 7, -1, "TWICE", "none", "")),
+        ("a.ecsv", "sky", "must be used only with FITS files, got 'sky'"),
+    ):
+        text = refusal(tmp_path / name, partial(rs.Catalog.read, hdu=hdu))
+        assert f"hdu {message}" in text
+    for hdu in (True, 2.0):
+        with pytest.raises(TypeError, match="hdu must be the number or the name of a table, got"):
+            rs.Catalog.read(path, hdu=hdu)
 
 
 def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
@@ -346,12 +378,9 @@ def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
 
 def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
     rng = np.random.default_rng(1)
-    columns = {
-        "name": np.array(["a", " b ", "", "long name"]),
-        "flag": np.array([True, False, True, True]),
-        "byte": np.arange(4, dtype="u1"),
-        **{kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")},
-    }
+    columns = {"name": np.array(["a", " b ", "", "long name"]), "flag": np.arange(4) != 1}
+    columns["byte"] = np.arange(4, dtype="u1")
+    columns |= {kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")}
     cards = {"TILE": "it is", "RA": 12.5, "SMALL": 1e-300, "N": (-3, "a comment / with a slash"), "YES": True}
     cards |= {"LONG": "long text " * 15, "NONE": ""}
     content = _io.fits_bytes(columns, cards)
