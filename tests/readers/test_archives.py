@@ -34,10 +34,7 @@ def header(shape):
     return content(np.lib.format.write_array_header_1_0, {"descr": "<f8", "fortran_order": False, "shape": shape})
 
 
-def changed(file):
-    found = bytearray(file.getvalue())
-    found[-150], found[160] = found[-150] ^ 1, found[160] ^ 1
-    return io.BytesIO(bytes(found))
+DAMAGED = archive(a=saved(np.ones((3, 2)))).getvalue().replace(np.ones(6).tobytes(), bytes(48))
 
 
 def test_arrays_are_returned():
@@ -63,7 +60,7 @@ def test_arrays_are_returned():
         (archive(a=header((-1, 2))), "bytes in all, got the shape"),
         (archive(a=b"nothing"), "cannot be read as npz"),
         (archive(a=header((1, 2))[:-60]), "cannot be read as npz"),
-        (changed(archive(a=saved(np.ones((3, 2))))), "cannot be read as npz"),
+        (io.BytesIO(DAMAGED), "cannot be read as npz"),
         (archive(zipfile.ZIP_DEFLATED, a=saved(np.zeros((10**6, 2)))), "must not be compressed"),
     ],
 )

@@ -25,11 +25,9 @@ before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
 for path in sorted(Path(sys.argv[1]).iterdir()):
     start = time.process_time()
     try:
-        found = (rs.Instrument if path.suffix == ".toml" else rs.Catalog).read(path)
-    except rs.InputError as found:
-        text = str(found).replace(str(path), "")
-    else:
-        text = repr(found)
+        text = repr((rs.Instrument if path.suffix == ".toml" else rs.Catalog).read(path))
+    except rs.InputError as error:
+        text = str(error).replace(str(path), "")
     grown = 1024 * (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
     print(path.name, time.process_time() - start, grown, text, sep="\\t", flush=True)
 """
@@ -41,12 +39,9 @@ def fits(*cards):
     return (primary.tostring() + Header(structure).tostring()).encode()
 
 
-VOTABLE = (
-    '<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/><DATA>'
-    "<TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"
-)
-INTEGERS = "# - {name: a, datatype: int64}\n"
-ECSV = "# %ECSV 1.0\n# ---\n# datatype:\n"
+VOTABLE = """<?xml version="1.0"?><VOTABLE version="1.4"><RESOURCE><TABLE{}><FIELD name="ra" datatype="{}"{}/>
+<DATA><TABLEDATA><TR><TD>1</TD></TR></TABLEDATA></DATA></TABLE></RESOURCE></VOTABLE>"""
+ECSV, INTEGERS = "# %ECSV 1.0\n# ---\n# datatype:\n", "# - {name: a, datatype: int64}\n"
 ALIASES = "".join(f"#   a{k}: &a{k} [{','.join([f'*a{k - 1}'] * 10)}]\n" for k in range(1, 12))
 ENTITIES = "".join(f'<!ENTITY a{k} "{f"&a{k - 1};" * 10}">' for k in range(1, 12))
 SHAPE = "# - {name: b, datatype: string, subtype: 'float64[1000,1000,1000]'}\n"
@@ -108,9 +103,8 @@ def test_compressed_files_that_are_cut_off(tmp_path, compress):
 
 
 def test_an_exception_without_a_message_is_named_by_its_type():
-    assert _limits.sentence(MemoryError()) == "MemoryError"
-    assert _limits.sentence(KeyError("a")) == "KeyError: 'a'"
-    assert _limits.sentence(ValueError("a\nb")) == "a"
+    errors = MemoryError(), KeyError("a"), ValueError("a\nb")
+    assert [_limits.sentence(error) for error in errors] == ["MemoryError", "KeyError: 'a'", "a"]
 
 
 @pytest.mark.parametrize("digits", [400, 5000])

@@ -2,8 +2,6 @@
 
 import gzip
 import json
-import struct
-import urllib.request
 from functools import partial
 
 import astropy.units as u
@@ -110,61 +108,6 @@ def test_numbers_beyond_doubles_are_told(tmp_path):
     assert "column 'pmra' (pmra) must lie between" in refusal(written(path, text))
 
 
-# --- VOTables ------------------------------------------------------------------------------------------------------
-
-VOTABLE = """<?xml version="1.0"?><VOTABLE version="1.4" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE><TABLE>
-<FIELD name="ra" datatype="double" unit="deg"/><FIELD name="dec" datatype="double" unit="deg"/>
-<FIELD name="id" datatype="char" arraysize="3"/><DATA>{}</DATA></TABLE></RESOURCE></VOTABLE>"""
-ROWS = "<TABLEDATA><TR><TD>1</TD><TD>2</TD><TD>abc</TD></TR></TABLEDATA>"
-
-
-@pytest.mark.parametrize("kind", ["BINARY", "BINARY2", "FITS", "PARQUET type='VOTable-remote-file'"])
-@pytest.mark.parametrize("encoding", ["", ' encoding="base64"', ' encoding="gzip"'])
-@pytest.mark.parametrize("text", ["utf-8", "utf-16"])
-def test_a_stream_is_not_fetched(tmp_path, monkeypatch, kind, encoding, text):
-    """Regression: addresses on the network and files of this machine were read."""
-    monkeypatch.setattr(urllib.request, "urlopen", lambda *_: pytest.fail("fetched"))
-    (tmp_path / "secret").write_bytes(struct.pack(">dd3s", 1, 2, b"abc"))
-    tag = kind.split()[0]
-    refused = "the element STREAM must contain its data", "the data must be in an element TABLEDATA"
-    for address in (f"file://{tmp_path}/secret", "http://127.0.0.1:1/x", "&#102;tp://127.0.0.1/x"):
-        stream = VOTABLE.format(f'<{kind}><STREAM{encoding} href="{address}"/></{tag}>')
-        stream = stream.replace('"1.0"', f'"1.0" encoding="{text}"').encode(text)
-        found = refusal(written(tmp_path / "a.vot", stream))
-        assert any(message in found for message in refused)
-
-
-def test_entities_and_lost_rows_of_a_votable(tmp_path):
-    path, good = tmp_path / "a.vot", VOTABLE.format(ROWS)
-    assert rs.Catalog.read(written(path, good)).id.tolist() == ["abc"]
-    system = good.replace("<VOTABLE", '<!DOCTYPE V SYSTEM "file:///etc/passwd"><VOTABLE', 1)
-    assert len(rs.Catalog.read(written(path, system))) == 1  # the named file is not read
-    for old, new, message in (
-        ("<VOTABLE", '<!DOCTYPE V [<!ENTITY a "b">]><VOTABLE', "must not have entities, got 'a'"),
-        ("abc", "abcd", "every value must fit into its column"),
-        ("<TABLE>", '<TABLE nrows="2">', "must have as many rows as the attribute nrows states (2), got 1 rows"),
-        (ROWS, ROWS + ROWS, "must have as many rows as the file (2), got 1 rows"),
-    ):
-        assert message in refusal(written(path, good.replace(old, new, 1)))
-
-
-@pytest.mark.parametrize("form", ["binary", "binary2", "tabledata"])
-@pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
-def test_votables_of_each_form(tmp_path, form):
-    table = QTable({"id": ["a", "bc", ""], "ra": [1, 2, 3.0] * DEG, "dec": np.float32([1, 2, 3]) * DEG})
-    table["flag"], table["n"], table["short"] = [True, False, True], [1, 2, 3], np.int16([1, 2, 3])
-    table["two"] = np.ones((3, 2))
-    path = tmp_path / "a.vot"
-    table.write(path, format="votable", tabledata_format=form)
-    assert rs.Catalog.read(path).id.tolist() == ["a", "bc", ""]
-    if form != "tabledata":
-        text = path.read_text()
-        begin = text.index(">", text.index("<STREAM")) + 1
-        assert "STREAM must" in refusal(written(path, text[:begin] + text[begin + 8 :]))
-        path = written(path, text[:begin] + "<FIELD/>" + text[begin:])
-        assert "the element STREAM must contain only data, got the element FIELD" in refusal(path)
-
-
 # --- unhandled exceptions ------------------------------------------------------------------------------------------
 
 
@@ -212,8 +155,7 @@ def test_bytes_that_are_no_text(tmp_path):
     table["id"].info.serialize_method["fits"] = "data_mask"
     table.write(path, overwrite=True)
     column = read_table(path)["id"]  # FITS text is ASCII, so that astropy returns these values as bytes
-    assert column.tolist() == ["Müller", None]
-    assert (column.info.description, column.info.meta) == ("the name", {"a": 1})
+    assert (column.tolist(), column.description, column.meta) == (["Müller", None], "the name", {"a": 1})
     with pytest.raises(rs.InputError, match="id must be text in ASCII or UTF-8"):
         rs.Catalog(SkyCoord(*PLACES.values()), id=ids)
 
@@ -309,7 +251,7 @@ def test_fits_tables_of_text_are_read(tmp_path):
 
 def test_refused_files_are_one_line_at_the_command_line(run, tmp_path):
     (tmp_path / "quote.csv").write_bytes(rows(OPEN))
-    (tmp_path / "href.vot").write_text(VOTABLE.format('<BINARY><STREAM href="file:///etc/passwd"/></BINARY>'))
+    (tmp_path / "href.vot").write_text('<VOTABLE><STREAM href="file:///etc/passwd"/></VOTABLE>')
     (tmp_path / "deep.toml").write_text("a = " + "[" * 100_000)
     Table({"ra": [1.0], "dec": [2.0]}, meta={"RFPSURVY": 3}).write(tmp_path / "card.fits")
     for name in ("quote.csv", "href.vot", "card.fits"):
@@ -363,14 +305,12 @@ def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
     for name, n in (("ONE", 3), ("TWO", 0)):
         units.append(fits.table_to_hdu(Table({"a": np.arange(n), "b": np.full(n, "x")})))
         units[-1].header.update({"EXTNAME": name, "TILE": n})
-    units[0].header.update({"OBSERVER": "o" * 100})
-    units[0].header["COMMENT"] = "no keyword"
+    units[0].header.update({"OBSERVER": "o" * 100, "COMMENT": "no keyword"})
     fits.HDUList(units).writeto(tmp_path / "a.fits")
     header, tables = read_tables(tmp_path / "a.fits")
     assert header == {"OBSERVER": "o" * 100}
     assert [table.meta for table in tables] == [{"EXTNAME": "ONE", "TILE": 3}, {"EXTNAME": "TWO", "TILE": 0}]
-    assert [len(table) for table in tables] == [3, 0]
-    assert tables[0]["b"].tolist() == ["x"] * 3
+    assert [table["b"].tolist() for table in tables] == [["x"] * 3, []]
     assert "there is no such file" in refusal(tmp_path / "b.fits", read_tables)
     path = written(tmp_path / "b.fits", "id,ra,dec")
     assert "cannot be read as fits: it must begin with SIMPLE" in refusal(path, read_tables)
@@ -378,8 +318,7 @@ def test_all_tables_of_a_fits_file_are_read_with_their_keywords(tmp_path):
 
 def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
     rng = np.random.default_rng(1)
-    columns = {"name": np.array(["a", " b ", "", "long name"]), "flag": np.arange(4) != 1}
-    columns["byte"] = np.arange(4, dtype="u1")
+    columns = {"name": np.array(["a", " b ", "", "long name"]), "flag": np.arange(4) != 1, "byte": np.uint8(range(4))}
     columns |= {kind: rng.normal(0, 1e4, 4).astype(kind) for kind in ("i2", "i4", "i8", "f4", "f8")}
     cards = {"TILE": "it is", "RA": 12.5, "SMALL": 1e-300, "N": (-3, "a comment / with a slash"), "YES": True}
     cards |= {"LONG": "long text " * 15, "NONE": ""}
@@ -402,7 +341,6 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
         assert len(old) == len(new)
         assert content.count(old.encode()) == 1
         assert read_plain(content.replace(old.encode(), new.encode("latin-1"))) is None
-    for cards in ({"TILE": "it's"}, {"COMMENT": "a text"}):
-        assert read_plain(_io.fits_bytes(columns, cards)) is None
-    for other in (content[:-1], content + bytes(2880)):
+    others = [_io.fits_bytes(columns, cards) for cards in ({"TILE": "it's"}, {"COMMENT": "a text"})]
+    for other in (content[:-1], content + bytes(2880), *others):
         assert read_plain(other) is None

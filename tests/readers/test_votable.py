@@ -2,8 +2,10 @@
 
 import base64
 import struct
+import urllib.request
 
 import astropy
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable
@@ -99,3 +101,55 @@ def test_other_streams_tables_and_columns_are_refused(tmp_path):
         (document(content, fields=column), f"the column id must have {defined}, got 'text' and '*'"),
     ):
         assert refusal(written(tmp_path / "a.vot", text)).startswith(f": {message}")
+
+
+PLAIN = """<?xml version="1.0"?><VOTABLE version="1.4" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE><TABLE>
+<FIELD name="ra" datatype="double" unit="deg"/><FIELD name="dec" datatype="double" unit="deg"/>
+<FIELD name="id" datatype="char" arraysize="3"/><DATA>{}</DATA></TABLE></RESOURCE></VOTABLE>"""
+ROWS = "<TABLEDATA><TR><TD>1</TD><TD>2</TD><TD>abc</TD></TR></TABLEDATA>"
+
+
+@pytest.mark.parametrize("kind", ["BINARY", "BINARY2", "FITS", "PARQUET type='VOTable-remote-file'"])
+@pytest.mark.parametrize("encoding", ["", ' encoding="base64"', ' encoding="gzip"'])
+@pytest.mark.parametrize("text", ["utf-8", "utf-16"])
+def test_a_stream_is_not_fetched(tmp_path, monkeypatch, kind, encoding, text):
+    """Regression: addresses on the network and files of this machine were read."""
+    monkeypatch.setattr(urllib.request, "urlopen", lambda *_: pytest.fail("fetched"))
+    (tmp_path / "secret").write_bytes(struct.pack(">dd3s", 1, 2, b"abc"))
+    refused = "the element STREAM must contain its data", "the data must be in an element TABLEDATA"
+    for address in (f"file://{tmp_path}/secret", "http://127.0.0.1:1/x", "&#102;tp://127.0.0.1/x"):
+        stream = PLAIN.format(f'<{kind}><STREAM{encoding} href="{address}"/></{kind.split()[0]}>')
+        stream = stream.replace('"1.0"', f'"1.0" encoding="{text}"').encode(text)
+        found = refusal(written(tmp_path / "a.vot", stream))
+        assert any(message in found for message in refused)
+
+
+def test_entities_and_lost_rows_of_a_votable(tmp_path):
+    path, good = tmp_path / "a.vot", PLAIN.format(ROWS)
+    assert rs.Catalog.read(written(path, good)).id.tolist() == ["abc"]
+    system = good.replace("<VOTABLE", '<!DOCTYPE V SYSTEM "file:///etc/passwd"><VOTABLE', 1)
+    assert len(rs.Catalog.read(written(path, system))) == 1  # the named file is not read
+    for old, new, message in (
+        ("<VOTABLE", '<!DOCTYPE V [<!ENTITY a "b">]><VOTABLE', "must not have entities, got 'a'"),
+        ("abc", "abcd", "every value must fit into its column"),
+        ("<TABLE>", '<TABLE nrows="2">', "must have as many rows as the attribute nrows states (2), got 1 rows"),
+        (ROWS, ROWS + ROWS, "must have as many rows as the file (2), got 1 rows"),
+    ):
+        assert message in refusal(written(path, good.replace(old, new, 1)))
+
+
+@pytest.mark.parametrize("form", ["binary", "binary2", "tabledata"])
+@pytest.mark.filterwarnings(r"ignore:column .* \(id\) is empty")
+def test_votables_of_each_form(tmp_path, form):
+    table = QTable({"id": ["a", "bc", ""], "ra": [1, 2, 3.0] * u.deg, "dec": np.float32([1, 2, 3]) * u.deg})
+    table["flag"], table["n"], table["short"] = [True, False, True], [1, 2, 3], np.int16([1, 2, 3])
+    table["two"] = np.ones((3, 2))
+    path = tmp_path / "a.vot"
+    table.write(path, format="votable", tabledata_format=form)
+    assert rs.Catalog.read(path).id.tolist() == ["a", "bc", ""]
+    if form != "tabledata":
+        text = path.read_text()
+        begin = text.index(">", text.index("<STREAM")) + 1
+        assert "STREAM must" in refusal(written(path, text[:begin] + text[begin + 8 :]))
+        path = written(path, text[:begin] + "<FIELD/>" + text[begin:])
+        assert "the element STREAM must contain only data, got the element FIELD" in refusal(path)
