@@ -14,10 +14,8 @@ from rfpsurvey._readers import read_table, read_tables
 
 def test_integers_with_a_unit_stay_exact(tmp_path):
     """Identifiers with a unit became floating-point numbers, and identifiers beyond 2**53 were refused or changed."""
-    wide, ids = 2**53 + 2 * np.arange(3) + 1, np.arange(3)
-    table = Table(
-        {"ra": [1.0, 2, 3] * u.deg, "dec": [1.0, 2, 3] * u.deg, "id": wide, "few": ids, "none": ids, "obj": wide}
-    )
+    wide, ids, ra = 2**53 + 2 * np.arange(3) + 1, np.arange(3), [1.0, 2, 3] * u.deg
+    table = Table({"ra": ra, "dec": ra, "id": wide, "few": ids, "none": ids, "obj": wide})
     table["id"].unit, table["few"].unit, table["none"].unit, table["obj"].unit = "ct", "ct", "", "unknown_unit"
     text = "{}: the column {!r} is read without its unit, {}, because quantities cannot represent its"
     for kind in ("ascii.ecsv", "votable", "fits", "parquet"):
