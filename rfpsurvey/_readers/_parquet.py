@@ -64,8 +64,14 @@ def _is_plain(kind) -> bool:
         kind = kind.value_type
     if isinstance(kind, BaseExtensionType):
         return False
-    unsupported = ("nested", "duration", "time", "interval", "run_end_encoded")
-    return not any(getattr(types, f"is_{name}")(kind) for name in unsupported)
+    return not _is_any(kind, "nested", "duration", "time", "interval", "run_end_encoded")
+
+
+def _is_any(kind, *names: str) -> bool:
+    """Return whether an Arrow type is one of several types, given by their names."""
+    from pyarrow import types
+
+    return any(getattr(types, f"is_{name}")(kind) for name in names)
 
 
 def _to_table(content, names: list[str], path: Path | None) -> Table:
@@ -79,17 +85,12 @@ def _to_array(column, name: str, path: Path | None) -> np.ndarray:
 
     if types.is_dictionary(column.type):
         column = column.cast(column.type.value_type)
-    if types.is_decimal(column.type):
-        column = column.cast(pa.float64())
-    if types.is_null(column.type):
+    if _is_any(column.type, "decimal", "null"):
         column = column.cast(pa.float64())
     missing = np.asarray(column.is_null()) if column.null_count else None
-    if any(test(column.type) for test in (types.is_string, types.is_large_string, types.is_string_view)):
+    if _is_any(column.type, "string", "large_string", "string_view"):
         values = _texts(column, path, name)
-    elif any(
-        test(column.type)
-        for test in (types.is_binary, types.is_large_binary, types.is_binary_view, types.is_fixed_size_binary)
-    ):
+    elif _is_any(column.type, "binary", "large_binary", "binary_view", "fixed_size_binary"):
         values = np.array([_decoded(value, path, name) for value in column.to_pylist()], dtype=str)
     else:
         if missing is not None and types.is_boolean(column.type):

@@ -116,7 +116,6 @@ def read_tables(path: str | os.PathLike) -> tuple[dict, list[QTable]]:
     its header; the keyword ``EXTNAME`` contains the name of the table.
     """
     path = to_path(path)
-    check_is_file(path)
     with reading(path, "fits"):
         header, tables = read_all_fits(path)
         tables = [_checked(table, path) for table in tables]

@@ -302,13 +302,13 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
     """
     if content[:4].lower() == b"sep=":
         content = b"#" + content
-    # the start and the end of each of the first three lines that are neither blank nor comments
-    lines = [line.span() for line in islice(DATA.finditer(content, 0, MOST_NAMES_BYTES), 3)]
+    # the first three lines that are neither blank nor comments
+    lines = list(islice(DATA.finditer(content, 0, MOST_NAMES_BYTES), 3))
     if not lines:
         return content, b",", {}
-    begin, end = lines[0]
-    delimiter = _delimiter(path, content[begin:end], content[slice(*lines[min(1, len(lines) - 1)])])
-    names = _split(content[begin:end], delimiter)
+    begin = lines[0].start()
+    delimiter = _delimiter(path, lines[0][0], lines[min(1, len(lines) - 1)][0])
+    names = _split(lines[0][0], delimiter)
     if len(names) == 1 and len(names[0].split()) > 1:
         raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
     if all(is_number(name) for name in names):
@@ -318,15 +318,11 @@ def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]
         if not comment.startswith(b"#") or len(words) != len(names) or any(is_number(word) for word in words):
             raise InputError(f"{path}: the first row must contain the names of the columns, got {names[0]!r}")
         return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
-    for k in (1, 2):
-        if (
-            len(lines) > k
-            and set(content[slice(*lines[k])].strip()) <= set(b"- " + delimiter)
-            and (b"-" in content[slice(*lines[k])])
-        ):
-            words = _split(content[slice(*lines[1])], delimiter) if k == 2 else []
-            for start, _ in reversed(lines[1 : k + 1]):
-                content = content[:start] + b"#" + content[start:]
+    for k, line in enumerate(lines[1:], 1):
+        if set(line[0].strip()) <= set(b"- " + delimiter) and b"-" in line[0]:
+            words = _split(lines[1][0], delimiter) if k == 2 else []
+            for one in reversed(lines[1 : k + 1]):
+                content = content[: one.start()] + b"#" + content[one.start() :]
             return content, delimiter, dict(zip(names, words, strict=False))
     return content, delimiter, {}
 

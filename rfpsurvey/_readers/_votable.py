@@ -1,7 +1,8 @@
 """Read VOTables; the files and web addresses to which a VOTable refers are not read.
 
-The module first parses the XML to count the rows and to check the sizes of the columns. The table that astropy returns
-must have the same number of rows.
+Astropy reads the table. The module first parses the XML, because astropy 8.0 reads the addresses to which a stream
+refers, and omits an incomplete last row and the rows of a second element TABLEDATA without a message. The table that
+astropy returns must have the number of rows that the XML contains.
 """
 
 import binascii

@@ -13,6 +13,7 @@ import re
 import shutil
 import warnings
 import zipfile
+import zlib
 from functools import cache
 from pathlib import Path
 
@@ -210,15 +211,18 @@ def change_archive(rng, b):
 
 @cache
 def _bomb(name: str, n: int = 3 * 2**30) -> bytes:
-    """Return an archive of a few MB with an array of n bytes, all of them zero."""
-    found = io.BytesIO()
-    with (
-        zipfile.ZipFile(found, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        archive.open(name, "w", force_zip64=True) as file,
-    ):
-        np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (n,)})
-        for _ in range(n >> 24):
-            file.write(bytes(1 << 24))
+    """Return an archive of a few MB with an array of n bytes, all of them zero.
+
+    All blocks of zeros have the same compressed form, so that only one of them is compressed. The checksum of the array
+    is wrong, but a reader compares it only after it has decompressed all bytes.
+    """
+    packer, header, found = zlib.compressobj(1, wbits=-zlib.MAX_WBITS), io.BytesIO(), io.BytesIO()
+    np.lib.format.write_array_header_1_0(header, {"descr": "|u1", "fortran_order": False, "shape": (n,)})
+    parts = [packer.compress(block) + packer.flush(zlib.Z_FULL_FLUSH) for block in (header.getvalue(), bytes(1 << 24))]
+    with zipfile.ZipFile(found, "w") as archive:
+        archive.writestr(name, parts[0] + parts[1] * (n >> 24) + packer.flush())
+        info = archive.getinfo(name)
+        info.compress_type, info.file_size = zipfile.ZIP_DEFLATED, len(header.getvalue()) + n
     return found.getvalue()
 
 

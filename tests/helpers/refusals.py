@@ -14,6 +14,12 @@ def sentence(code, err):
     return lines[0]
 
 
+def written(path, content):
+    """Write text or bytes to a file, and return its path."""
+    path.write_bytes(content if isinstance(content, bytes) else content.encode())
+    return path
+
+
 def refusal(path, read=rs.Catalog.read):
     """Return the sentence of the error for a file, without the name of the file."""
     with pytest.raises(rs.InputError) as caught:

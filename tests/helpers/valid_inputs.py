@@ -219,7 +219,7 @@ def _checkpoints(folder: Path, small: rs.Instrument) -> list[Sample]:
         plan(path, resume=True, allocator=SEARCH)
 
     def select(path, **options):
-        found = rs.selection_probabilities(catalog, small, tiles, 40, folder=path, **options)
+        found = rs.selection_probabilities(catalog, small, tiles, 33, folder=path, **options)
         repr(found), found.table, found.provenance
 
     def read_selection(path):

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from functools import partial
 
 import numpy as np
 import pytest
@@ -20,16 +21,20 @@ def archive(compress=zipfile.ZIP_STORED, **members):
     return file
 
 
-def saved(values, **options):
+def content(write, *values):
     file = io.BytesIO()
-    np.save(file, values, **options)
+    write(file, *values)
     return file.getvalue()
+
+
+saved = partial(content, np.save)
 
 
 def header(shape):
-    file = io.BytesIO()
-    np.lib.format.write_array_header_1_0(file, {"descr": "<f8", "fortran_order": False, "shape": shape})
-    return file.getvalue()
+    return content(np.lib.format.write_array_header_1_0, {"descr": "<f8", "fortran_order": False, "shape": shape})
+
+
+DAMAGED = archive(a=saved(np.ones((3, 2)))).getvalue().replace(np.ones(6).tobytes(), bytes(48))
 
 
 def test_arrays_are_returned():
@@ -49,12 +54,13 @@ def test_arrays_are_returned():
         (archive(n=saved(np.array(7))), "must contain the array 'a', got none"),
         (archive(a=saved(np.ones((3, 3)))), r"must have the shape \(n, 2\) and the type float64, got \(3, 3\) and"),
         (archive(a=saved(np.ones((3, 2), dtype="f4"))), "got .* and float32"),
-        (archive(a=saved(np.array([[None, {}]]), allow_pickle=True)), "got .* and object"),
+        (archive(a=saved(np.array([[None, {}]]))), "got .* and object"),
         (archive(a=saved(np.ones((3, 2)))[:-8]), "bytes in all, got the shape"),
         (archive(a=header((2**62, 2))), "bytes in all, got the shape"),
         (archive(a=header((-1, 2))), "bytes in all, got the shape"),
         (archive(a=b"nothing"), "cannot be read as npz"),
         (archive(a=header((1, 2))[:-60]), "cannot be read as npz"),
+        (io.BytesIO(DAMAGED), "cannot be read as npz"),
         (archive(zipfile.ZIP_DEFLATED, a=saved(np.zeros((10**6, 2)))), "must not be compressed"),
     ],
 )
@@ -62,11 +68,3 @@ def test_other_archives_are_refused(file, sentence):
     """Archives with other types or sizes caused errors of Python, or used all of the memory."""
     with pytest.raises(InputError, match=sentence):
         read_arrays(file, EXPECTED, "it")
-
-
-def test_damaged_bytes_are_refused():
-    content = bytearray(archive(a=saved(np.ones((3, 2)))).getvalue())
-    content[-150] ^= 1
-    content[160] ^= 1
-    with pytest.raises(InputError, match="cannot be read as npz"):
-        read_arrays(io.BytesIO(bytes(content)), EXPECTED, "it")

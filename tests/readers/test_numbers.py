@@ -9,33 +9,29 @@ from astropy.io import fits
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-
-DEG = u.deg
+from rfpsurvey._readers import read_table, read_tables
 
 
 def test_integers_with_a_unit_stay_exact(tmp_path):
     """Identifiers with a unit became floating-point numbers, and identifiers beyond 2**53 were refused or changed."""
-    wide, ids = 2**53 + 2 * np.arange(3) + 1, np.arange(3)
-    table = Table({"ra": [1.0, 2, 3] * DEG, "dec": [1.0, 2, 3] * DEG, "id": wide, "few": ids, "none": ids, "obj": wide})
+    wide, ids, ra = 2**53 + 2 * np.arange(3) + 1, np.arange(3), [1.0, 2, 3] * u.deg
+    table = Table({"ra": ra, "dec": ra, "id": wide, "few": ids, "none": ids, "obj": wide})
     table["id"].unit, table["few"].unit, table["none"].unit, table["obj"].unit = "ct", "ct", "", "unknown_unit"
-    for name, options in (("a.ecsv", {}), ("a.vot", {"format": "votable"}), ("a.fits", {}), ("a.parquet", {})):
-        path = tmp_path / name
-        if name == "a.parquet":
+    text = "{}: the column {!r} is read without its unit, {}, because quantities cannot represent its"
+    for kind in ("ascii.ecsv", "votable", "fits", "parquet"):
+        path = tmp_path / f"a.{kind.removeprefix('ascii.')}"
+        if kind == "parquet":
             pytest.importorskip("pyarrow")
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            table.write(path, **options)
+            table.write(path, format=kind)
         with pytest.warns(rs.RfpsurveyWarning) as caught:
             found = rs.Catalog.read(path, keep=["few", "none", "obj"])
-        said = [
-            f"{path}: the column {name!r} is read without its unit, {unit}, because quantities cannot represent its"
-            for name, unit in (("id", "ct"), ("obj", "unknown_unit"))
-        ]
+        said = [text.format(path, name, unit) for name, unit in (("id", "ct"), ("obj", "unknown_unit"))]
         assert [str(w.message).partition(" integers")[0] for w in caught] == said
-        assert found.id.tolist() == wide.tolist(), name
-        assert found.extra["obj"].tolist() == wide.tolist(), name
-        assert found.extra["none"].dtype.kind == "i", name
-        assert (found.extra["few"] == ids * u.ct).all(), name
+        assert found.id.tolist() == found.extra["obj"].tolist() == wide.tolist(), kind
+        assert found.extra["none"].dtype.kind == "i", kind
+        assert (found.extra["few"] == ids * u.ct).all(), kind
     with pytest.warns(rs.RfpsurveyWarning, match="the column 'obj' is read without its unit, unknown_unit"):
         assert rs.Catalog.from_table(table, keep="obj").extra["obj"].tolist() == wide.tolist()
 
@@ -62,19 +58,16 @@ def test_big_endian_columns_are_partitioned_and_planned_as_native_columns(tmp_pa
     assert not swapped["note"].dtype.isnative
     native.write(tmp_path / "a.fits")
     expected = rs.Catalog.from_table(native, keep=KEEP)
+    columns = {name: swapped[name] for name in ("id", "priority", "visits", "subpriority", "category")}
+    columns["extra"] = {name: np.asarray(swapped[name]) for name in KEEP}
     with fits.open(tmp_path / "a.fits", memmap=True) as hdus:
-        for k, catalog in enumerate(
-            (
-                rs.Catalog.read(tmp_path / "a.fits", keep=KEEP),
-                rs.Catalog.from_table(swapped, keep=KEEP),
-                rs.Catalog.from_table(QTable(hdus[1].data), units={"ra": "deg", "dec": "deg"}, keep=KEEP),
-                rs.Catalog(
-                    expected.coord,
-                    **{name: swapped[name] for name in ("id", "priority", "visits", "subpriority", "category")},
-                    extra={name: np.asarray(swapped[name]) for name in KEEP},
-                ),
-            )
-        ):
+        catalogs = (
+            rs.Catalog.read(tmp_path / "a.fits", keep=KEEP),
+            rs.Catalog.from_table(swapped, keep=KEEP),
+            rs.Catalog.from_table(QTable(hdus[1].data), units={"ra": "deg", "dec": "deg"}, keep=KEEP),
+            rs.Catalog(expected.coord, **columns),
+        )
+        for k, catalog in enumerate(catalogs):
             for name, values in {**vars(catalog), **catalog.arrays.extra}.items():
                 assert not isinstance(values, np.ndarray) or values.dtype.isnative, (k, name)
             assert [catalog.arrays.extra[name].tolist() for name in KEEP] == [native[name].tolist() for name in KEEP]
@@ -86,9 +79,6 @@ def test_big_endian_columns_are_partitioned_and_planned_as_native_columns(tmp_pa
 
 
 def test_tables_of_files_have_the_byte_order_of_the_machine(tmp_path):
-    swapped, _ = big_endian()
-    swapped.write(tmp_path / "a.fits")
-    from rfpsurvey._readers import read_table, read_tables
-
+    big_endian()[0].write(tmp_path / "a.fits")
     for table in (read_table(tmp_path / "a.fits"), read_tables(tmp_path / "a.fits")[1][0]):
         assert all(column.dtype.isnative for column in table.itercols())
