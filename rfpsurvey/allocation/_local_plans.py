@@ -11,9 +11,9 @@ from rfpsurvey.allocation._candidates import Candidates
 from rfpsurvey.allocation._clock import OutOfTimeError, now
 from rfpsurvey.allocation._idle import separate_idle_arms
 from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_collisions, repair_nearby, trim
-from rfpsurvey.allocation._methods import lamost_rule
 from rfpsurvey.allocation._objectives import is_sum_maximized, levels_of, offset_of, with_subpriorities
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._rules import plan_lamost_rule
 from rfpsurvey.focal_plane import elbow_names
 
 # Largest number of collisions of candidates.
@@ -51,7 +51,7 @@ def repaired_plan(problem: AllocationProblem, given: Candidates) -> Repaired:
 
     If there are too many collisions of candidates, the plan only uses the candidates ``given``.
     """
-    before = lamost_rule(problem).target_of_positioner
+    before = plan_lamost_rule(problem).target_of_positioner
     candidates = movable_candidates(problem, before)
     with suppress(OutOfTimeError):
         candidates, plan = repair_nearby(candidates, pick(candidates, trim(problem, before)), most_pairs=MOST_PAIRS)

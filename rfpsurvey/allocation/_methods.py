@@ -5,17 +5,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from rfpsurvey._kernels.allocation import fill_quota
 from rfpsurvey._methods import Method, table_of
 from rfpsurvey.allocation import _rules
 from rfpsurvey.allocation._answer import AllocationAnswer, Level
 from rfpsurvey.allocation._clock import searching
 from rfpsurvey.allocation._distribution import lost_to_rules
-from rfpsurvey.allocation._given import changes_of, is_plan
+from rfpsurvey.allocation._given import is_plan
 from rfpsurvey.allocation._local_search import match, movable_candidates, pick, repair_nearby, trim
-from rfpsurvey.allocation._objectives import DIGITS, scale_of, with_subpriorities
-from rfpsurvey.allocation._problem import AllocationProblem, with_watched
-from rfpsurvey.allocation._rules import RuleProblem
+from rfpsurvey.allocation._objectives import with_subpriorities
+from rfpsurvey.allocation._problem import AllocationProblem
 from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
 from rfpsurvey.errors import check_choice, check_switch
 from rfpsurvey.focal_plane import elbow_names
@@ -56,39 +54,6 @@ class Allocator(Method):
         collisions = EXACTLY if self.avoids_collisions else ONLY_CHECKED
         required = AS_GOAL if self.uses("required") else ONLY_CHECKED
         return Abilities(collisions, required, LEVELS[self.counts], LEVELS[self.distribution], collisions)
-
-
-def balanced(problem: AllocationProblem) -> AllocationAnswer:
-    """Distribute targets to queues of nearly equal length, and draw one target from each queue.
-
-    Each science target, in catalog order, is added to the shortest queue among the positioners that reach it; ties are
-    decided by the distance, then by the row of the positioner. One target of each queue is drawn uniformly and
-    observed. Priorities and requirements are ignored.
-    """
-    return _by_rule(problem, _rules.balanced, by_priority=False)
-
-
-def nearest(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the targets of one class after the other; in each class, assign the closest pairs first.
-
-    If subpriorities are given, assign each target of a class, in order of subpriority, to the closest free positioner.
-    Requirements are ignored.
-    """
-    return _by_rule(problem, _rules.nearest)
-
-
-def lamost_rule(problem: AllocationProblem) -> AllocationAnswer:
-    """Assign the targets of one class after the other; in each round, every free positioner nominates one target.
-
-    In each class, every free positioner nominates its nearest unassigned target, until no nominations are possible. If
-    several positioners nominate a target, the target is assigned to the positioner with the fewest unassigned targets
-    (of any class) in reach; ties are decided by the distance, then by the row of the positioner. The requirements are
-    then met one after the other: first by idle positioners, then by positioners that give up the least important
-    targets.
-    """
-    answer = _by_rule(problem, _rules.lamost_rule)
-    _fill_quotas(problem, answer.target_of_positioner)
-    return answer
 
 
 def network_flow(problem: AllocationProblem) -> AllocationAnswer:
@@ -137,7 +102,7 @@ _SEARCH = (*_COMMON, "objective", "time_limit", "programs")
 METHODS = table_of(
     Allocator(
         "balanced",
-        balanced,
+        _rules.plan_balanced,
         ("subpriority", "rng"),
         "ignores priorities",
         makes_queues=True,
@@ -145,8 +110,10 @@ METHODS = table_of(
         is_random=True,
         rule=_rules.balanced,
     ),
-    Allocator("nearest", nearest, ("required", "subpriority"), rule=_rules.nearest),
-    Allocator("lamost_rule", lamost_rule, _COMMON, "the rule of LAMOST", counts="goal", rule=_rules.lamost_rule),
+    Allocator("nearest", _rules.plan_nearest, ("required", "subpriority"), rule=_rules.nearest),
+    Allocator(
+        "lamost_rule", _rules.plan_lamost_rule, _COMMON, "the rule of LAMOST", counts="goal", rule=_rules.lamost_rule
+    ),
     Allocator("network_flow", network_flow, _SEARCH, "network flow", searches=True, counts="exactly"),
     Allocator(
         "optimal",
@@ -198,24 +165,6 @@ def _search(problem, **options):
         return decide(problem, **options)
 
 
-def with_cost(problem: AllocationProblem) -> AllocationProblem:
-    """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
-
-    The larger the subpriority of a science target, the lower the cost of its pairs. With ``optimal`` and a given plan,
-    the sum of the costs is smallest for the plan that changes the fewest fibers (see `changes_of`).
-    """
-    if problem.options.method.keeps_plan and is_plan(problem.options.start):
-        pairs, before = problem.pairs, problem.start(with_lost=True).target_of_positioner
-        return replace(problem, pairs=replace(pairs, r2=changes_of(before, pairs.owner, pairs.target)))
-    if problem.subpriority is None:
-        return problem
-    order = np.arange(len(problem.rank))  # the rows make the costs different if subpriorities are equal
-    most, size = scale_of(problem)
-    cost = np.where(problem.science, most - problem.subpriority, 0.0) / max(size, 1e-300)
-    cost = np.round(cost, DIGITS) + order * (10.0 ** -(DIGITS + 1) / max(len(order), 1))
-    return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))
-
-
 def _bounded(problem, target_of, blind):
     """Return the objectives of a plan; their upper bounds are the values of a second plan, which ignores collisions.
 
@@ -226,51 +175,3 @@ def _bounded(problem, target_of, blind):
         levels.append(Level(name, value, most[name] if known else np.nan))
         known = known and value == most[name]
     return with_subpriorities(problem, levels, target_of)
-
-
-def _by_rule(problem, rule, *, by_priority=True):
-    """Return the plan of a rule; the rows of the targets are already in order of subpriority."""
-    n, n_sharing = len(problem.rank), problem.focal_plane.arrays.n_sharing
-    is_required = problem.is_required if by_priority and problem.any_required else None
-    rank, number = problem.rank if by_priority else np.zeros(n, np.int64), np.zeros(n, np.uint64)
-    given = problem.pairs, rank, problem.science, is_required, number, n_sharing
-    by_distance = problem.subpriority is None
-    answer = rule(RuleProblem.of(*given, by_distance=by_distance), np.zeros(n), np.ones(n, np.bool_), problem.rng)
-    return answer._replace(target_of_positioner=with_watched(problem, answer.target_of_positioner))
-
-
-def _fill_quotas(problem, target_of):
-    """Change a plan in place such that it meets the requirements as far as possible.
-
-    The function uses idle positioners first, then the positioners of the least important targets.
-    """
-    plane, reach = problem.focal_plane, problem.pairs
-    used, owner_of = np.flatnonzero(target_of >= 0), np.full(len(problem.rank), -1)
-    owner_of[target_of[used]] = used
-    locked = ~plane.arrays.usable
-    locked[used] |= problem.is_required[target_of[used]]
-    for requirement in problem.requirements:
-        groups = [group for group in problem.groups if group.requirement is requirement and requirement.minimum > 0]
-        if not groups:
-            continue
-        by_fiber, counting = plane.spectrograph.ndim > 1 and requirement.per == "spectrograph", None
-        for group in groups:
-            if group.targets is not counting:
-                counting, rows = group.targets, reach.where(group.holds_target(reach.target, reach.owner))
-            part = rows
-            if by_fiber:
-                part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)
-            indptr, target, r2 = part.by_positioner
-            inside = np.diff(indptr) > 0
-            if not by_fiber and group.spectrograph is not None:
-                inside &= plane.spectrograph == group.spectrograph
-            if group.fibers is not None:
-                inside &= group.fibers
-            used = np.flatnonzero(target_of >= 0)
-            counted = used[group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)]
-            locked[counted] = True
-            rank = problem.rank_of(target_of)
-            able = np.flatnonzero(~locked & inside)
-            order = able[np.argsort(-rank[able], kind="stable")]
-            need = requirement.minimum - len(counted)
-            fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey.allocation._answer import SUBPRIORITIES, Level
 from rfpsurvey.allocation._candidates import Candidates
-from rfpsurvey.allocation._given import is_plan
+from rfpsurvey.allocation._given import changes_of, is_plan
 from rfpsurvey.allocation._local_search import match
 from rfpsurvey.allocation._problem import AllocationProblem
 
@@ -138,3 +138,21 @@ def with_subpriorities(
     bound = float(min(bound, n.sum() * most - size * least + error))
     # costs are rounded, and the solver ignores differences of this size
     return [*levels, Level(SUBPRIORITIES, value, value if bound <= value + 3 * error else bound)]
+
+
+def with_cost(problem: AllocationProblem) -> AllocationProblem:
+    """Return the problem; if the targets have subpriorities, replace the squared distance of each pair by a cost.
+
+    The larger the subpriority of a science target, the lower the cost of its pairs. With ``optimal`` and a given plan,
+    the sum of the costs is smallest for the plan that changes the fewest fibers (see `changes_of`).
+    """
+    if problem.options.method.keeps_plan and is_plan(problem.options.start):
+        pairs, before = problem.pairs, problem.start(with_lost=True).target_of_positioner
+        return replace(problem, pairs=replace(pairs, r2=changes_of(before, pairs.owner, pairs.target)))
+    if problem.subpriority is None:
+        return problem
+    order = np.arange(len(problem.rank))  # the rows make the costs different if subpriorities are equal
+    most, size = scale_of(problem)
+    cost = np.where(problem.science, most - problem.subpriority, 0.0) / max(size, 1e-300)
+    cost = np.round(cost, DIGITS) + order * (10.0 ** -(DIGITS + 1) / max(len(order), 1))
+    return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))

@@ -7,6 +7,7 @@ import numpy as np
 
 from rfpsurvey._kernels import allocation as kernels
 from rfpsurvey.allocation._answer import AllocationAnswer
+from rfpsurvey.allocation._problem import AllocationProblem, with_watched
 from rfpsurvey.allocation._subpriority import service_order
 from rfpsurvey.focal_plane import Reach
 
@@ -94,3 +95,84 @@ def lamost_rule(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarr
     lists = problem.start, count, target, r2, problem.rank, pairs.indptr, pairs.owner, in_reach
     kernels.nominate(*lists, nominee_of, np.empty(n), cursor, target_of, owner_of)
     return AllocationAnswer(target_of)
+
+
+def plan_balanced(problem: AllocationProblem) -> AllocationAnswer:
+    """Distribute targets to queues of nearly equal length, and draw one target from each queue.
+
+    Each science target, in catalog order, is added to the shortest queue among the positioners that reach it; ties are
+    decided by the distance, then by the row of the positioner. One target of each queue is drawn uniformly and
+    observed. Priorities and requirements are ignored.
+    """
+    return _by_rule(problem, balanced, by_priority=False)
+
+
+def plan_nearest(problem: AllocationProblem) -> AllocationAnswer:
+    """Assign the targets of one class after the other; in each class, assign the closest pairs first.
+
+    If subpriorities are given, assign each target of a class, in order of subpriority, to the closest free positioner.
+    Requirements are ignored.
+    """
+    return _by_rule(problem, nearest)
+
+
+def plan_lamost_rule(problem: AllocationProblem) -> AllocationAnswer:
+    """Assign the targets of one class after the other; in each round, every free positioner nominates one target.
+
+    In each class, every free positioner nominates its nearest unassigned target, until no nominations are possible. If
+    several positioners nominate a target, the target is assigned to the positioner with the fewest unassigned targets
+    (of any class) in reach; ties are decided by the distance, then by the row of the positioner. The requirements are
+    then met one after the other: first by idle positioners, then by positioners that give up the least important
+    targets.
+    """
+    answer = _by_rule(problem, lamost_rule)
+    _fill_quotas(problem, answer.target_of_positioner)
+    return answer
+
+
+def _by_rule(problem, rule, *, by_priority=True):
+    """Return the plan of a rule; the rows of the targets are already in order of subpriority."""
+    n, n_sharing = len(problem.rank), problem.focal_plane.arrays.n_sharing
+    is_required = problem.is_required if by_priority and problem.any_required else None
+    rank, number = problem.rank if by_priority else np.zeros(n, np.int64), np.zeros(n, np.uint64)
+    given = problem.pairs, rank, problem.science, is_required, number, n_sharing
+    by_distance = problem.subpriority is None
+    answer = rule(RuleProblem.of(*given, by_distance=by_distance), np.zeros(n), np.ones(n, np.bool_), problem.rng)
+    return answer._replace(target_of_positioner=with_watched(problem, answer.target_of_positioner))
+
+
+def _fill_quotas(problem, target_of):
+    """Change a plan in place such that it meets the requirements as far as possible.
+
+    The function uses idle positioners first, then the positioners of the least important targets.
+    """
+    plane, reach = problem.focal_plane, problem.pairs
+    used, owner_of = np.flatnonzero(target_of >= 0), np.full(len(problem.rank), -1)
+    owner_of[target_of[used]] = used
+    locked = ~plane.arrays.usable
+    locked[used] |= problem.is_required[target_of[used]]
+    for requirement in problem.requirements:
+        groups = [group for group in problem.groups if group.requirement is requirement and requirement.minimum > 0]
+        if not groups:
+            continue
+        by_fiber, counting = plane.spectrograph.ndim > 1 and requirement.per == "spectrograph", None
+        for group in groups:
+            if group.targets is not counting:
+                counting, rows = group.targets, reach.where(group.holds_target(reach.target, reach.owner))
+            part = rows
+            if by_fiber:
+                part = rows.where(problem.spectrograph_of(rows.owner, rows.target) == group.spectrograph)
+            indptr, target, r2 = part.by_positioner
+            inside = np.diff(indptr) > 0
+            if not by_fiber and group.spectrograph is not None:
+                inside &= plane.spectrograph == group.spectrograph
+            if group.fibers is not None:
+                inside &= group.fibers
+            used = np.flatnonzero(target_of >= 0)
+            counted = used[group.holds(target_of[used], problem.spectrograph_of(used, target_of[used]), used)]
+            locked[counted] = True
+            rank = problem.rank_of(target_of)
+            able = np.flatnonzero(~locked & inside)
+            order = able[np.argsort(-rank[able], kind="stable")]
+            need = requirement.minimum - len(counted)
+            kernels.fill_quota(order, need, indptr, target, r2, group.targets, locked, target_of, owner_of)

@@ -25,12 +25,18 @@ from rfpsurvey.allocation._local_plans import (
     values_of,
 )
 from rfpsurvey.allocation._local_search import improve, match, pick, repair_collisions, trim
-from rfpsurvey.allocation._methods import lamost_rule, with_cost
 from rfpsurvey.allocation._milp import Program
-from rfpsurvey.allocation._objectives import conditional_bounds, matching_limits, offset_of, with_used_classes
+from rfpsurvey.allocation._objectives import (
+    conditional_bounds,
+    matching_limits,
+    offset_of,
+    with_cost,
+    with_used_classes,
+)
 from rfpsurvey.allocation._preselect import best_pairs
 from rfpsurvey.allocation._prices import Prices, weights_of
 from rfpsurvey.allocation._problem import AllocationProblem
+from rfpsurvey.allocation._rules import plan_lamost_rule
 from rfpsurvey.allocation._subpriority import TIE_SEED
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
@@ -151,7 +157,7 @@ def _without_requirements(problem, **options):
     Requirements that are met anyway therefore have no influence on which of several equally good plans is returned.
     """
     free = replace(problem, options=problem.options.without("counts"), deadline=share(problem.deadline, FOR_FREE))
-    if not problem.meets_requirements(lamost_rule(free).target_of_positioner, NEARLY):
+    if not problem.meets_requirements(plan_lamost_rule(free).target_of_positioner, NEARLY):
         return None
     answer = decide(free, collide=True, **options)
     if not problem.meets_requirements(answer.target_of_positioner):

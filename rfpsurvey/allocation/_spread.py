@@ -14,8 +14,13 @@ from rfpsurvey.allocation._distribution import lost_to_rules
 from rfpsurvey.allocation._lexicographic import Solution, pursue
 from rfpsurvey.allocation._local_plans import LOCAL, answer_of, plan_of, repaired_plan, values_of
 from rfpsurvey.allocation._local_search import pick, repair_collisions, stand
-from rfpsurvey.allocation._methods import with_cost
-from rfpsurvey.allocation._objectives import conditional_bounds, matching_limits, offset_of, with_used_classes
+from rfpsurvey.allocation._objectives import (
+    conditional_bounds,
+    matching_limits,
+    offset_of,
+    with_cost,
+    with_used_classes,
+)
 from rfpsurvey.allocation._problem import AllocationProblem
 
 # Fractions of the remaining time: for the problem without the rules, for the plan with the same science targets, for
