@@ -2,12 +2,7 @@ import pytest
 
 import rfpsurvey as rs
 
-PLAN = ("--instrument", "desi", "--allocator", "nearest", "--set")
-
-
-def margins_of(path):
-    """Return the margins in the provenance of a tile."""
-    return rs.Tile.read(path).provenance["instrument"].get("margins")
+PLAN = "plan {} --instrument desi --allocator nearest"
 
 
 @pytest.fixture
@@ -32,88 +27,66 @@ def sky(tmp_path):
         ("outer=0.4,hidden_factor=1.5", {"outer_mm": 0.4, "hidden_factor": 1.5}),
     ],
 )
-def test_forms_of_the_option(run, sky, tmp_path, text, expected):
+def test_forms_of_the_option(call, sky, tmp_path, text, expected):
     path = tmp_path / "tile.fits"
-    code, out, err = run("plan", sky, *PLAN, f"instrument.margins={text}", "--output", path)
-    assert (code, err) == (0, "")
-    assert margins_of(path) == expected
+    out, err = call(f"{PLAN} --output {{}} --set", sky, path, f"instrument.margins={text}")
+    assert err == ""
+    assert rs.Tile.read(path).provenance["instrument"].get("margins") == expected
     assert ("    margins" in out) == (expected is not None)
 
 
-@pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("text", "sentence"),
+    ("words", "message"),
     [
-        ("outer", "margins must be off, instrument, or NAME=VALUE"),
-        ("outer=wide", "margins must be off, instrument, or NAME=VALUE"),
-        ("off,outer=1", "margins must be off, instrument, or NAME=VALUE"),
-        ("outer=1,outer=2", "with different names"),
-        ("edge=1", "unknown key 'instrument.margins.edge'"),
-        ("outer=-1", "the margin outer must be one finite value of at least 0 mm"),
-        ("outer=nan", "the margin outer must be one finite value"),
-        ("inner=6.5", "the margins outer and inner must leave a part of the patrol area"),
+        (f"{PLAN} --set instrument.margins=outer=nan", "the margin outer must be one finite value of at least 0 mm"),
+        (f"{PLAN} --set instrument.margins=inner=6.5", "the margins outer and inner must leave a part of the patrol"),
+        ("plan {} --set instrument.margins=instrument", "margins must give values, such as outer=0.1"),
     ],
 )
-def test_invalid_margins(run, sky, text, sentence):
-    code, _, err = run("plan", sky, *PLAN, f"instrument.margins={text}")
-    assert code == 2
-    assert sentence in err
-    assert len(err.strip().splitlines()) == 1
+def test_invalid_margins(refused, sky, words, message):
+    assert message in refused(words, sky)
 
 
-def test_an_instrument_without_margins(run, sky):
-    code, _, err = run("plan", sky, "--instrument", "lamost", "--set", "instrument.margins=instrument")
-    assert code == 2
-    assert "margins must give values, such as outer=0.1" in err
-
-
-def test_all_commands_that_plan_use_the_margins(run, sky, tmp_path):
-    tiles, folder, tile = tmp_path / "tiles.ecsv", tmp_path / "survey", tmp_path / "tile.fits"
-    common = ("--instrument", "desi", "--set", "instrument.margins=outer=0.7")
-    code, out, err = run("tile", sky, *common, "--method", "max_density", "--n-tiles", 1, "--output", tiles)
-    assert (code, err) == (0, "")
-    assert "outer 0.7 mm" in out
-    code, out, _ = run("survey", sky, "--tiles", tiles, *common, "--folder", folder)
-    assert code == 0
-    assert "outer 0.7 mm" in out
-    assert rs.Survey.read(folder).provenance["instrument"]["margins"] == {"outer_mm": 0.7}
-    assert run("select", sky, "--tiles", tiles, *common, "--n-realizations", 2, "--output", tmp_path / "p.fits")[0] == 0
-    chances = rs.SelectionProbabilities.read(tmp_path / "p.fits")
-    assert chances.provenance["instrument"]["margins"] == {"outer_mm": 0.7}
-    code, out, _ = run("compare-allocators", sky, *common, "--allocator", "nearest")
-    assert code == 0
-    assert "margins: outer 0.7 mm" in out
-    assert run("plan", sky, "--instrument", "desi", "--allocator", "nearest", "--output", tile)[0] == 0
-    code, out, err = run("score", tile, "--set", "instrument.margins=outer=0.7")
-    assert (code, err) == (0, "")
-    n = int(next(line for line in out.splitlines() if "within the margins" in line).split()[-1])
-    assert n > 10
+def test_all_commands_that_plan_use_the_margins(call, sky, tmp_path):
+    tiles, folder, tile, selection = (tmp_path / name for name in ("tiles.ecsv", "survey", "tile.fits", "p.fits"))
+    common, expected = "--instrument desi --set instrument.margins=outer=0.7", {"outer_mm": 0.7}
+    called = call(f"tile {{}} {common} --method max_density --n-tiles 1 --output {{}}", sky, tiles)
+    assert called.err == ""
+    assert "outer 0.7 mm" in called.out
+    assert "outer 0.7 mm" in call(f"survey {{}} --tiles {{}} {common} --folder {{}}", sky, tiles, folder).out
+    assert rs.Survey.read(folder).provenance["instrument"]["margins"] == expected
+    call(f"select {{}} --tiles {{}} {common} --n-realizations 2 --output {{}}", sky, tiles, selection)
+    assert rs.SelectionProbabilities.read(selection).provenance["instrument"]["margins"] == expected
+    assert "margins: outer 0.7 mm" in call(f"compare-allocators {{}} {common} --allocator nearest", sky).out
+    call(f"{PLAN} --output {{}}", sky, tile)
+    called = call("score {} --set instrument.margins=outer=0.7", tile)
+    assert called.err == ""
+    assert int(next(line for line in called.out.splitlines() if "within the margins" in line).split()[-1]) > 10
 
 
 @pytest.mark.exhaustive
-def test_a_comparison_of_instruments_with_margins(run):
-    options = ("--targets-per-positioner", 0.2, "--n-realizations", 1, "--allocator", "nearest")
-    code, out, err = run("compare", "moons", "pfs", "--set", "instrument.margins=outer=0.3", *options)
-    assert (code, err) == (0, "")
+def test_a_comparison_of_instruments_with_margins(call):
+    options = "--targets-per-positioner 0.2 --n-realizations 1 --allocator nearest"
+    out, err = call(f"compare moons pfs --set instrument.margins=outer=0.3 {options}")
+    assert err == ""
     assert "margins of pfs: outer_mm 0.3\n" in out
 
 
-def test_tiles_without_positioners_have_no_margins(run, sky):
-    for options in (("--region", "cap 95 23 5"), (sky, "--set", "fibers=100"), (sky, "--set", "radius=1")):
-        code, _, err = run("tile", *options, "--instrument", "desi", "--set", "instrument.margins=outer=0.7")
-        assert code == 2
-        assert "margins must be given only if positioners observe the targets of a catalog" in err
+def test_tiles_without_positioners_have_no_margins(refused, sky):
+    for options in ("--region 'cap 95 23 5'", "{} --set fibers=100", "{} --set radius=1"):
+        words = f"tile {options} --instrument desi --set instrument.margins=outer=0.7"
+        message = "margins must be given only if positioners observe the targets of a catalog"
+        assert message in refused(words, *[sky] * options.count("{}"))
 
 
-def test_probabilities_with_margins(run):
+def test_probabilities_with_margins(call, refused):
     """The margins change the probability and are stated; a formula without these margins refuses them."""
-    values, shape = [], ("desi", "--set", "instrument.arm_model=elbow_to_tip")
-    for extra in ((), ("--set", "instrument.margins=outer=1.5")):
-        code, out, err = run("probability", *shape, "--method", "close_pair", *extra)
-        assert (code, err) == (0, "")
+    values, words = [], "probability desi --set instrument.arm_model=elbow_to_tip --method "
+    for extra in ("", " --set instrument.margins=outer=1.5"):
+        out, err = call(f"{words} close_pair {extra}")
+        assert err == ""
         assert ("margins: outer 1.5 mm" in out) == bool(extra)
         values.append(float(out.split("collision probability")[1].split()[0]))
     assert values[0] != values[1]
-    code, _, err = run("probability", *shape, "--method", "closed_form", *extra)
-    assert code == 2
-    assert "the margins outer must be 0 for the method 'closed_form'" in err
+    message = "the margins outer must be 0 for the method 'closed_form'"
+    assert message in refused(f"{words} closed_form {extra}")

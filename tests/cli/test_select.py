@@ -19,52 +19,42 @@ def files(tmp_path_factory):
     sky.write(folder / "stars.fits")
     tiles = QTable({"ra": [94.9, 95.1, 95.0] * u.deg, "dec": [23, 23, 23.1] * u.deg, "pass": [0, 0, 1]})
     tiles.write(folder / "tiles.ecsv")
-    return folder, sky, rs.Tiling.from_table(tiles)
+    return (folder / "stars.fits", folder / "tiles.ecsv"), sky, rs.Tiling.from_table(tiles)
 
 
-def words_of(folder, *others):
-    return ("select", folder / "stars.fits", "--tiles", folder / "tiles.ecsv", "--instrument", "moons", *others)
+SELECT = "select {} --tiles {} --instrument moons --n-realizations"
 
 
-def test_what_is_printed_and_written_is_what_the_library_returns(run, files, tmp_path):
-    folder, sky, tiles = files
-    output = tmp_path / "selection.fits"
-    words = words_of(folder, "--n-realizations", 40, "--allocator", "lamost_rule", "--workers", 2, "--rng", 5)
-    code, out, err = run(*words, "--output", output, "--folder", tmp_path / "work")
-    assert code == 0, err
-    expected = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost_rule", rng=5)
-    lines = {line[:34].strip(): line[34:].split() for line in out.splitlines()}
+def test_what_is_printed_and_written_is_what_the_library_returns(call, files, tmp_path):
+    paths, sky, tiles = files
+    output, work = tmp_path / "selection.fits", tmp_path / "work"
+    options = "--allocator lamost_rule --workers 2 --rng 5 --output {} --folder {}"
+    called = call(f"{SELECT} 40 {options}", *paths, output, work)
+    expected, lines = rs.selection_probabilities(sky, "moons", tiles, 40, allocator="lamost_rule", rng=5), called.lines
     assert lines["targets never observed"] == [str(expected.summary["n_never_observed"])]
     assert lines["visits observed, all realizations"] == [str(expected.summary["n_observed"])]
     assert lines["mean selection probability"] == [f"{expected.summary['mean_probability']:.4f}"]
-    assert "123 of 123 plans of tiles" in err
-    assert f"wrote {output}" in out
-    for path in (output, tmp_path / "work"):
+    assert "123 of 123 plans of tiles" in called.err
+    assert f"wrote {output}" in called.out
+    for path in (output, work):
         found = rs.SelectionProbabilities.read(path)
         np.testing.assert_array_equal(found.bits, expected.bits)
         assert found.summary == expected.summary
 
 
-def test_a_plot_and_a_report_are_written(run, files, tmp_path):
-    folder, _, _ = files
-    words = words_of(folder, "--n-realizations", 4, "--allocator", "nearest", "--output", tmp_path / "selection.fits")
-    code, out, err = run(*words, "--plot", tmp_path / "plot.png", "--report", tmp_path / "page.html")
-    assert code == 0, err
-    for name in ("plot.png", "page.html"):
-        assert f"wrote {tmp_path / name}" in out
-    summary = rs.SelectionProbabilities.read(tmp_path / "selection.fits").summary
-    page = Reader((tmp_path / "page.html").read_text())
+def test_a_plot_and_a_report_are_written(call, files, tmp_path):
+    outputs = [tmp_path / name for name in ("selection.fits", "plot.png", "page.html")]
+    out = call(f"{SELECT} 4 --allocator nearest --output {{}} --plot {{}} --report {{}}", *files[0], *outputs).out
+    assert all(f"wrote {path}" in out for path in outputs)
+    summary = rs.SelectionProbabilities.read(outputs[0]).summary
+    page = Reader(outputs[2].read_text())
     assert page.facts()["targets never observed"] == str(summary["n_never_observed"])
     assert "selection.fits contains all rows" in " ".join(page.text("caption"))
 
 
-def test_visits_and_passes(run, files, tmp_path):
-    folder, _, _ = files
-    words = words_of(
-        folder, "--n-realizations", 2, "--visits", 2, "--set", "tiles.passes=[1]", "--set", "lost_in_collision=false"
-    )
-    code, _, err = run(*words, "--output", tmp_path / "selection.fits")
-    assert code == 0, err
+def test_visits_and_passes(call, files, tmp_path):
+    options = "--visits 2 --set tiles.passes=[1] --set lost_in_collision=false --output"
+    call(f"{SELECT} 2 {options}", *files[0], tmp_path / "selection.fits")
     found = rs.SelectionProbabilities.read(tmp_path / "selection.fits")
     assert (found.requested == 2).all()
     assert found.summary["n_tiles"] == 1
@@ -72,27 +62,18 @@ def test_visits_and_passes(run, files, tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("options", "message"),
     [
-        (("--output", "selection.csv"), "selection.csv: the name of this output file must end in .fits"),
-        (("--report", "page.txt"), "page.txt: the name of this output file must end in .html or .htm"),
-        (("--plot", "plot.txt"), "plot.txt: the name of this output file must end in .png or .pdf or .svg"),
-        (("--resume",), "the folder of the computation to resume must be given with --folder"),
-        (("--visits", 300), "--visits must be whole numbers from 0 to 255"),
-        (("--allocator", "nearer"), "unknown allocator 'nearer'"),
+        ("--output selection.csv", "selection.csv: the name of this output file must end in .fits"),
+        ("--report page.txt", "page.txt: the name of this output file must end in .html or .htm"),
+        ("--plot plot.txt", "plot.txt: the name of this output file must end in .png or .pdf or .svg"),
+        ("--output old.fits", "exists; to replace it, use --overwrite"),
+        ("--resume", "the folder of the computation to resume must be given with --folder"),
+        ("--visits 300", "--visits must be whole numbers from 0 to 255"),
     ],
 )
-def test_refusals_are_one_sentence(run, files, words, message):
-    code, _, err = run(*words_of(files[0], "--n-realizations", 2, *words))
-    assert code == 2
-    assert message in err
-    assert "Traceback" not in err
-
-
-def test_existing_files_are_kept(run, files, tmp_path):
-    output = tmp_path / "selection.fits"
-    output.write_text("mine")
-    code, _, err = run(*words_of(files[0], "--n-realizations", 2, "--output", output))
-    assert code == 2
-    assert "exists; to replace it, use --overwrite" in err
-    assert output.read_text() == "mine"
+def test_refusals_are_one_sentence_and_existing_files_are_kept(refused, files, tmp_path, monkeypatch, options, message):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "old.fits").write_text("mine")
+    assert message in refused(f"{SELECT} 2 {options}", *files[0])
+    assert [path.read_text() for path in tmp_path.iterdir()] == ["mine"]
