@@ -1,4 +1,4 @@
-"""Objects of settings are equal to their copies, and differ from objects with other values."""
+"""Objects of settings are equal to their copies; ``test_settings.py`` tests classes that describe their options."""
 
 import copy
 import pickle
@@ -15,14 +15,6 @@ import rfpsurvey as rs
 MM, DEG = u.mm, u.deg
 CENTERS = QTable({"ra": [1, 2] * DEG, "dec": [3, 4] * DEG})
 TRIANGLE = [[0, 0], [4, 0], [0, 1]]
-
-
-def hour(value, **others):
-    return rs.ObservingConditions("kitt peak", hour_angle=value * u.hourangle, **others)
-
-
-def options(*constraints, **others):
-    return rs.AllocationOptions(constraints=constraints, **others)
 
 
 def arms(length, **others):
@@ -44,24 +36,10 @@ PAIRS = {
     "KeepOut": (rs.KeepOut.parse("95 23 0.1"), rs.KeepOut.parse("95 23 0.2")),
     "Required": (rs.Required([1, 2]), rs.Required([1, 3])),
     "Requirement": (rs.Requirement.parse("sky=2"), rs.Requirement.parse("sky=3")),
-    "Margins": (rs.Margins(outer=0.1 * MM), rs.Margins(outer=0.2 * MM)),
-    "hour angles": (hour(1), hour(2)),
-    "wavelengths": (hour(1, wavelength={"a": 1 * u.um}), hour(1, wavelength={"b": 1 * u.um})),
-    "times": tuple(rs.ObservingConditions("paranal", time=f"2026-07-01T06:3{k}:00") for k in (0, 1)),
-    "JointOptions": (rs.JointOptions(iterations=3), rs.JointOptions(iterations=4)),
-    "VisitRule": (rs.survey.VisitRule(visits=2), rs.survey.VisitRule(visits=3)),
     "TangentPlane": (plane(95), plane(96)),
     "TangentPlane of a frame": (plane(95, frame="fk5"), plane(95, frame="fk5", equinox="J2026")),
     "RadialMap": tuple(rs.projection.RadialMap("theta", [k], max_angle=1 * DEG) for k in (1.0, 2.0)),
     "Centers": (rs.tiling.Centers(CENTERS), rs.tiling.Centers(CENTERS[:1])),
-    "Fibers": (rs.tiling.Fibers(9, min_separation=1 * DEG), rs.tiling.Fibers(9, min_separation=2 * DEG)),
-    "RandomTargets": (rs.probability.RandomTargets(number=3), rs.probability.RandomTargets(number=4)),
-    "LossOptions": (rs.design.LossOptions(n_skies=3), rs.design.LossOptions(n_skies=4)),
-    "options with a number": (options("sky=2"), options("sky=3")),
-    "options with a circle": (options("keep_out 95 23 0.1"), options("keep_out 95 23 0.2")),
-    "options with a target": (options("required 4711"), options("required 12")),
-    "options with a rule": (options("magnitude g 10 20"), options("magnitude g 10 21")),
-    "options with a length": (options(sky_separation=1 * MM), options(sky_separation=2 * MM)),
 }
 
 
