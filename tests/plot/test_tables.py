@@ -1,21 +1,19 @@
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import MaskedColumn, QTable
 from matplotlib.figure import Figure
+from text_tables import text_table
 
 import rfpsurvey as rs
 
-SCAN = QTable(
-    {
-        "pitch": [35, 26, 30] * u.mm,
-        "value": [0.1, 0.4, 0.2],
-        "low": [0.05, 0.37, 0.18],
-        "high": [0.12, 0.42, 0.25],
-        "formula": MaskedColumn([0.0, 0.1, 0.3], mask=[False, False, True]),
-        "formula_error": [0.01, 0.02, 0.03],
-        "arms": ["long", "short", "long"],
-    }
+SCAN = text_table(
+    """
+pitch value low high formula formula_error arms
+35 0.1 0.05 0.12 0.0 0.01 long
+26 0.4 0.37 0.42 0.1 0.02 short
+30 0.2 0.18 0.25 "" 0.03 long
+""",
+    pitch=u.mm,
 )
 
 
@@ -49,23 +47,20 @@ def test_groups_have_lines_of_their_own():
     assert not ax.collections  # the intervals are unknown
 
 
+probability, residuals = rs.plot.plot_probability, rs.plot.plot_residuals
+
+
 @pytest.mark.parametrize(
     ("call", "message"),
     [
-        (lambda: rs.plot.plot_probability([1]), "table must be a QTable, got list"),
-        (lambda: rs.plot.plot_probability(SCAN), "table must have the column ratio; it has pitch"),
-        (lambda: rs.plot.plot_probability(SCAN, "pitch", values="arms"), "arms must be a column of numbers"),
-        (lambda: rs.plot.plot_probability(SCAN, "pitch", values=[]), "values must name at least one column"),
-        (lambda: rs.plot.plot_probability(SCAN[:0], "pitch"), "table must have at least one row"),
-        (lambda: rs.plot.plot_residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
-        (
-            lambda: rs.plot.plot_residuals(SCAN[2:], "value", "formula", x="pitch"),
-            "must both have a number in at least one row",
-        ),
-        (
-            lambda: rs.plot.plot_allocators(SCAN),
-            "table must come from compare_allocators, got one without the column allocator",
-        ),
+        (lambda: probability([1]), "table must be a QTable, got list"),
+        (lambda: probability(SCAN), "table must have the column ratio; it has pitch"),
+        (lambda: probability(SCAN, "pitch", values="arms"), "arms must be a column of numbers"),
+        (lambda: probability(SCAN, "pitch", values=[]), "values must name at least one column"),
+        (lambda: probability(SCAN[:0], "pitch"), "table must have at least one row"),
+        (lambda: residuals(SCAN, "value", "nothing"), "table must have the column nothing"),
+        (lambda: residuals(SCAN[2:], "value", "formula", x="pitch"), "must both have a number in at least one row"),
+        (lambda: rs.plot.plot_allocators(SCAN), "must come from compare_allocators, got one without the column alloc"),
     ],
 )
 def test_other_tables_are_refused(call, message):
@@ -74,19 +69,12 @@ def test_other_tables_are_refused(call, message):
 
 
 def test_residuals_point_where_they_go():
-    table = QTable(
-        {
-            "ratio": [1.0, 1.2, 1.4, 1.6],
-            "pitch": [26, 28, 30, 32] * u.mm,
-            "here": [0.3, 0.1, 0.2, 0.5],
-            "there": [0.1, 0.4, 0.2, np.nan],
-        }
+    table = text_table(
+        "ratio pitch here there\n1 26 0.3 0.1\n1.2 28 0.1 0.4\n1.4 30 0.2 0.2\n1.6 32 0.5 nan", pitch=u.mm
     )
     ax = rs.plot.plot_residuals(table, "here", "there", s=7)
     up, down, zero = ax.collections[:3]
-    assert up.get_offsets().tolist() == [[1, 26]]
-    assert down.get_offsets().tolist() == [[1.2, 28]]
-    assert zero.get_offsets().tolist() == [[1.4, 30]]
+    assert [c.get_offsets().tolist() for c in (up, down, zero)] == [[[1, 26]], [[1.2, 28]], [[1.4, 30]]]
     assert len({c.get_paths()[0].vertices.tobytes() for c in (up, down, zero)}) == 3
     np.testing.assert_allclose(down.get_array(), [-0.3])
     assert down.get_clim() == pytest.approx((-0.3, 0.3))
@@ -96,16 +84,8 @@ def test_residuals_point_where_they_go():
 
 
 def test_allocators_are_bars_of_what_is_usable_lost_and_missing():
-    table = QTable(
-        {
-            "allocator": ["blind", "careful"],
-            "science": [90, 70],
-            "usable": [60, 70],
-            "missing": [0, 5],
-            "seconds": [0.0123, 4.56] * u.s,
-        },
-        meta={"blind_science": 95, "instrument": "mine"},
-    )
+    text = "allocator science usable missing seconds\nblind 90 60 0 0.0123\ncareful 70 70 5 4.56"
+    table = text_table(text, {"blind_science": 95, "instrument": "mine"}, seconds=u.s)
     ax = rs.plot.plot_allocators(table, height=0.5)
     bars = {c.get_label(): [(p.get_x(), p.get_width()) for p in c.patches] for c in ax.containers}
     assert bars == {
