@@ -51,9 +51,7 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def probe(tmp_path_factory):
-    """Return a function that takes a copy of the package, and returns a value computed in a new process and its cache
-    hits.
-    """
+    """Return a function that returns a value computed with a copy of the package in a new process, and cache hits."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
     environment = {**clean, "PYTHONDONTWRITEBYTECODE": "1"}

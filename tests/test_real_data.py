@@ -53,20 +53,11 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
         assert rs.score_tile(field_a, instrument).summary["n_colliding_pairs"] == pairs
 
 
+APO, LCO = [21636, 21637, 50323], [502706, 503246, 503247, 505253, 505254]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("design", "name"),
-    [
-        (21636, "sdss_apo"),
-        (21637, "sdss_apo"),
-        (50323, "sdss_apo"),
-        (502706, "sdss_lco"),
-        (503246, "sdss_lco"),
-        (503247, "sdss_lco"),
-        (505253, "sdss_lco"),
-        (505254, "sdss_lco"),
-    ],
-)
+@pytest.mark.parametrize(("design", "name"), [*((n, "sdss_apo") for n in APO), *((n, "sdss_lco") for n in LCO)])
 def test_designs_of_both_sites_score_from_the_sky(presets, real_data, design, name):
     """With only ra and dec, and without refraction, nearly all targets are in reach, and few pairs collide."""
     t = QTable.read(real_data("sdssv_eight_designs.ecsv"))

@@ -55,12 +55,3 @@ def test_every_command_has_its_help(run):
     code, _, err = run("nonsense")
     assert code == 2
     assert "No such command 'nonsense'" in err
-
-
-def test_every_public_name_is_found():
-    names = {}
-    exec("from rfpsurvey import *", names)
-    assert set(rs.__all__) <= set(names)
-    assert set(rs.__all__) <= set(dir(rs))
-    with pytest.raises(AttributeError, match="nothing"):
-        rs.nothing  # noqa: B018

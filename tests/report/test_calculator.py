@@ -71,14 +71,8 @@ def test_a_design_outside_the_range_has_no_value_but_a_reason(page):
 
 
 def test_the_range_of_the_script_is_that_of_python(page):
-    for design in (
-        (5, 10, 25, 2),
-        (4.9, 10, 25, 2),
-        (15.1, 20, 25, 2),
-        (5, 15.1, 25, 2),
-        (5, 10, 25, 0.2),
-        (5, 10, 25, 4),
-    ):
+    inside, outside = (5, 10, 25, 2), ((4.9, 10, 25, 2), (15.1, 20, 25, 2), (5, 15.1, 25, 2), (5, 10, 25, 0.2))
+    for design in (inside, *outside, (5, 10, 25, 4)):
         arguments = dict(zip(("central_arm", "eccentric_arm", "pitch", "clearance"), design, strict=True))
         problems = page.evaluate(f"(design) => {VIEW}.surrogate.problems(design)", arguments)
         l1, l2, pitch, clearance = np.array(design) * MM

@@ -23,17 +23,18 @@ def planned(small):
 @pytest.fixture
 def opened(visit, write_view, tmp_path):
     """Return a function that opens the page of a result and waits for its view."""
-    return lambda result, **options: open_view(visit, write_view, tmp_path / "page.html", result, **options)
 
+    def open_view(result, **options):
+        path = tmp_path / "page.html"
+        if isinstance(result, rs.Tile | rs.Tiling):
+            write_view(result, path, **options)
+        else:
+            rs.write_report(result, path, overwrite=True, **options)
+        page = visit(path)
+        page.wait_for_function(f"({VIEW}.stage ?? {VIEW}.plots[0].stage).width > 1")
+        return page
 
-def open_view(visit, write_view, path, result, **options):
-    if isinstance(result, rs.Tile | rs.Tiling):
-        write_view(result, path, **options)
-    else:
-        rs.write_report(result, path, overwrite=True, **options)
-    page = visit(path)
-    page.wait_for_function(f"({VIEW}.stage ?? {VIEW}.plots[0].stage).width > 1")
-    return page
+    return open_view
 
 
 def test_tiles_that_were_scored_or_read_have_no_reasons(opened, planned, small, tmp_path):
@@ -58,14 +59,11 @@ def test_positions_on_the_focal_plane_have_no_compass(opened, planned, small):
 def test_one_positioner_one_tile_and_one_design_are_shown(opened):
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     one = rs.Instrument("one", rs.FocalPlane([[0, 0]] * u.mm, robot), plate_scale=200 * u.mm / u.deg)
-    page = opened(rs.plan_tile(SkyCoord([CENTER]), one, CENTER))
-    page.locator("canvas").focus()
-    page.keyboard.press("ArrowRight")
-    assert page.evaluate(f"{VIEW}.selected") == 0
-    page = opened(rs.place_tiles(SkyCoord([CENTER]), one))
-    page.locator("canvas").focus()
-    page.keyboard.press("ArrowRight")
-    assert page.evaluate(f"{VIEW}.selected") == 0
+    for result in (rs.plan_tile(SkyCoord([CENTER]), one, CENTER), rs.place_tiles(SkyCoord([CENTER]), one)):
+        page = opened(result)
+        page.locator("canvas").focus()
+        page.keyboard.press("ArrowRight")
+        assert page.evaluate(f"{VIEW}.selected") == 0
     table = rs.design.explore_designs(central_arm=8 * u.mm, ratio=0.5, pitch=25 * u.mm, clearance=2 * u.mm)
     page = opened(table)
     page.evaluate(f"{VIEW}.choose(0)")
@@ -91,10 +89,9 @@ def test_the_comparison_of_allocators_contains_their_plans(opened, small):
     page = opened(table, plans=tiles)
     assert page.evaluate(f"{VIEW}.plans.map((plan) => plan.name)") == names
     page.get_by_label("Compared with").select_option("repair")
-    expected = [np.ma.filled(tiles[name].table["target_id"], -1) for name in ("lamost_rule", "repair")]
-    assert page.evaluate(f"{VIEW}.id.filter((_, k) => {VIEW}.change(k) !== 'same').length") == np.sum(
-        expected[0] != expected[1]
-    )
+    one, other = (np.ma.filled(tiles[name].table["target_id"], -1) for name in ("lamost_rule", "repair"))
+    different = page.evaluate(f"{VIEW}.id.filter((_, k) => {VIEW}.change(k) !== 'same').length")
+    assert different == np.sum(one != other)
 
 
 def test_the_command_writes_the_plans_of_all_allocators(run, tmp_path):
