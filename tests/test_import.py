@@ -65,8 +65,7 @@ def test_all_that_is_imported_is_declared():
     found = packages_distributions()
     # shapely is used for comparisons if it is installed
     for name in imported - sys.stdlib_module_names - {"rfpsurvey", "shapely"}:
-        distributions = {d.lower().replace("_", "-") for d in found.get(name, [name])}
-        assert distributions & declared, name
+        assert {d.lower().replace("_", "-") for d in found.get(name, [name])} & declared, name
 
 
 IMPORTS = f"""

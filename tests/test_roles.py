@@ -17,8 +17,7 @@ KINDS = [kind for n in (1, 2, 3) for kind in permutations(ROLES, n)]
 
 @pytest.mark.parametrize("length", [0, 20])
 def test_roles_of_all_kinds(length):
-    texts = np.array([" + ".join(roles).title() for roles in KINDS], dtype=f"U{max(length, 30)}")
-    kind = to_kinds(texts, "kind")
+    kind = to_kinds(np.array([" + ".join(roles).title() for roles in KINDS], dtype=f"U{max(length, 30)}"), "kind")
     for roles, found, rest in zip(KINDS, kind.tolist(), without_science(kind).tolist(), strict=True):
         assert found.split("+") == [role for role in ROLES if role in roles]
         if len(roles) > 1:
@@ -60,8 +59,7 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     options = rs.AllocationOptions("optimal", requirements=["standard=6"])
     tile = rs.plan_tile(catalog, small, "8h +30d", allocator=options)
     kinds = np.asarray(tile.table["kind"]).astype(str)
-    both = int((kinds == "science+standard").sum())
-    counts = tile.summary["kinds"]
+    both, counts = int((kinds == "science+standard").sum()), tile.summary["kinds"]
     assert counts["standard"]["n_assigned"] == both + (kinds == "standard").sum()
     assert counts["science"]["n_assigned"] == both + (kinds == "science").sum()
     assert counts["standard"]["n_also_science"] == both >= 6
@@ -81,8 +79,7 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     assert code == 0, err
     assert "roles: 30 science and standard, 55 science, 5 standard" in " ".join(out.split())
     assert "that are science targets (standard)" in out
-    planned = rs.plan_tile(catalog, "sdss_apo", "8h +30d", allocator=options)
-    planned.write(tmp_path / "planned.ecsv")
+    rs.plan_tile(catalog, "sdss_apo", "8h +30d", allocator=options).write(tmp_path / "planned.ecsv")
     given = ["--constraint", "standard=6", "--report", tmp_path / "score.html"]
     code, out, err = run("score", tmp_path / "planned.ecsv", *given)
     assert code == 0, err
@@ -148,8 +145,7 @@ def test_written_files_with_one_role_contain_the_last_one(tmp_path, presets, nam
     used = plan[np.asarray(plan["assigned"])]
     ids = np.asarray(used["target_id"])
     kinds = np.asarray(used["kind"]).astype(str)[ids >= 0].tolist()
-    assert kinds == last_role(kind[ids[ids >= 0]]).tolist()
-    assert {*kinds} == {"science", "standard", "sky"}
+    assert (kinds, {*kinds}) == (last_role(kind[ids[ids >= 0]]).tolist(), {"science", "standard", "sky"})
 
 
 def replace_kind(catalog):

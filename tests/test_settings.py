@@ -1,15 +1,17 @@
 """Classes of settings: records, copies, equality, messages and help follow from the descriptions of their options."""
 
+import copy
 import json
 import math
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType
 
 import astropy.units as u
 import numpy as np
 import pytest
-from astropy.table import Table
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable, Table
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +20,7 @@ from rfpsurvey._settings import Checked, Settings, help_texts, option, options_o
 from rfpsurvey.inputs._keys import Key, keys_of
 from rfpsurvey.observing._sites import SITES
 
-MM, S, UM = u.mm, u.s, u.um
+MM, DEG, S, UM = u.mm, u.deg, u.s, u.um
 RULE = Table({"class": ["star", "any"], "last": ["bad", ""], "priority": [3.0, np.nan], "visits": [np.nan, 2]})
 
 
@@ -151,9 +153,7 @@ def test_records_and_copies_are_equal_to_their_object(cls, data):
     record = json.loads(json.dumps(value.record))
     others = {name: getattr(value, name) for name in NEEDED.get(cls, ())}
     for same in (pickle.loads(pickle.dumps(value)), cls.from_record(record, **others)):
-        assert same == value
-        assert hash(same) == hash(value)
-        assert same.record == value.record
+        assert (same, hash(same), same.record) == (value, hash(value), value.record)
 
 
 def differ(value, other):
@@ -256,8 +256,7 @@ WRONG = [
 
 @OPTIONS
 def test_wrong_values_are_refused_with_one_sentence(cls, one):
-    usual = {} if cls is not rs.ObservingConditions else {"site": "paranal", "hour_angle": 0 * u.deg}
-    n = 0
+    usual, n = {} if cls is not rs.ObservingConditions else {"site": "paranal", "hour_angle": 0 * u.deg}, 0
     for value in WRONG:
         try:
             cls(**{**usual, **({"hour_angle": None} if one.name == "time" else {}), one.name: value})
@@ -296,8 +295,7 @@ def test_limits_of_quantities_and_empty_text_are_refused(options, message):
 
 
 def test_quantities_can_equal_their_limits():
-    assert Tilt(90 * u.deg, 2 * u.mm).offset == 2 * u.mm
-    assert Tilt(0 * u.rad, -5 * u.m).angle == 0 * u.rad
+    assert (Tilt(90 * u.deg, 2 * u.mm).offset, Tilt(0 * u.rad, -5 * u.m).angle) == (2 * u.mm, 0 * u.rad)
 
 
 @OPTIONS
@@ -308,3 +306,48 @@ def test_numbers_outside_the_limits_are_refused(cls, one):
     for limit in (limit + step for limit, step in limits if limit is not None):
         with pytest.raises(rs.InputError, match="must be"):
             cls(**{**usual, one.name: limit * unit})
+
+
+CENTERS = QTable({"ra": [1, 2] * DEG, "dec": [3, 4] * DEG})
+TRIANGLE = [[0, 0], [4, 0], [0, 1]]
+
+
+def arms(length, **others):
+    return rs.Positioner(length * MM, 8 * MM, 1 * MM, **others)
+
+
+def plane(ra, **others):
+    return rs.projection.TangentPlane(SkyCoord(ra, 23, unit=DEG, **others), 200 * MM / DEG)
+
+
+PAIRS = {
+    "Positioner": (arms(8), arms(9)),
+    "Positioner with arrays": (arms(8, home=[0, 180] * DEG), arms(8, home=[1, 180] * DEG)),
+    "ArmOutline": tuple(rs.positioner.ArmOutline([np.array(TRIANGLE) * k * MM]) for k in (1, 2)),
+    "circle": (rs.Region.parse("cap 1 2 3"), rs.Region.parse("cap 1 2 4")),
+    "box": (rs.Region.parse("box 0 10 0 10"), rs.Region.parse("box 0 10 0 11")),
+    "polygon": (rs.Region.parse("polygon 0 0 10 0 10 10"), rs.Region.parse("polygon 0 0 10 0 10 11")),
+    "pixels": (rs.Region.healpix([1, 2], 4), rs.Region.healpix([1, 2], 2)),
+    "KeepOut": (rs.KeepOut.parse("95 23 0.1"), rs.KeepOut.parse("95 23 0.2")),
+    "Required": (rs.Required([1, 2]), rs.Required([1, 3])),
+    "Requirement": (rs.Requirement.parse("sky=2"), rs.Requirement.parse("sky=3")),
+    "TangentPlane": (plane(95), plane(96)),
+    "TangentPlane of a frame": (plane(95, frame="fk5"), plane(95, frame="fk5", equinox="J2026")),
+    "RadialMap": tuple(rs.projection.RadialMap("theta", [k], max_angle=1 * DEG) for k in (1.0, 2.0)),
+    "Centers": (rs.tiling.Centers(CENTERS), rs.tiling.Centers(CENTERS[:1])),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_settings_are_equal_to_their_copies(name):
+    """Regression: objects with arrays were compared by identity, so that equal options of two processes differed."""
+    value, other = PAIRS[name]
+    for same in (pickle.loads(pickle.dumps(value)), copy.deepcopy(value), replace(value)):
+        assert (same, hash(same)) == (value, hash(value))
+    assert value != other
+    assert value != "another type"
+
+
+def test_a_circle_is_equal_however_it_is_given():
+    parsed, made = rs.Region.parse("cap 95.5 23 0.1"), rs.Region.cap(SkyCoord(95.5, 23, unit=DEG), 0.1 * DEG)
+    assert (parsed, len({parsed, made})) == (made, 1)

@@ -25,8 +25,7 @@ def test_plan_of_a_real_field(call, tycho, tmp_path, instrument):
     out, err = call(f"plan {{}} --instrument {instrument} {field} --output {{}} --plot {{}}", tycho, fits, png)
     assert err == ""
     assert "targets in the catalog                  8830" in out
-    assert QTable.read(fits)["x"].unit == u.mm
-    assert png.read_bytes()[:8] == PNG
+    assert (QTable.read(fits)["x"].unit, png.read_bytes()[:8]) == (u.mm, PNG)
     tile = rs.Tile.read(fits)
     assert f"{tile.summary['n_assigned']:>10}" in out
     assert instrument != "lamost" or 1900 < tile.summary["n_in_field"] < 2700
@@ -74,8 +73,7 @@ def test_instruments(call):
 def test_instruments_side_by_side(call):
     out = call("instruments lamost sdss_apo").out
     lines = {line[:22].strip(): line[22:].split() for line in out.splitlines()}
-    assert lines[""] == ["lamost", "sdss_apo"]
-    assert lines["positioners"] == ["4000", "500"]
+    assert (lines[""], lines["positioners"]) == (["lamost", "sdss_apo"], ["4000", "500"])
     assert lines["field shape"] == ["circle", "hexagon"]
     assert lines["fibers"][-4:] == ["BOSS", "500,", "APOGEE", "298"]
     assert "published: " not in out
@@ -242,8 +240,7 @@ def test_overwrite(call, tmp_path):
 
 
 def test_usage_errors_exit_with_2(run):
-    assert run("plan", "--nonsense")[0] == 2
-    assert run("nonsense")[0] == 2
+    assert (run("plan", "--nonsense")[0], run("nonsense")[0]) == (2, 2)
 
 
 @pytest.mark.parametrize("center", ["95 23", "95.0,23.0", "9.5e1 2.3e1", "06:20:00 +23:00:00", "06 20 00 +23 00 00"])
@@ -272,8 +269,7 @@ def test_probability(call, tmp_path):
     path = tmp_path / "map.ecsv"
     assert "no error is known" in call("probability moons --method closed_form --output", path).out
     table = QTable.read(path)
-    assert table["x"].unit == u.mm
-    assert table["probability"].mean() == pytest.approx(table.meta["value"])
+    assert (table["x"].unit, table["probability"].mean()) == (u.mm, pytest.approx(table.meta["value"]))
 
 
 def test_probability_of_a_catalog_and_of_other_targets(call, refused, tycho):
@@ -461,8 +457,7 @@ def test_score_checks_the_constraints_that_a_plan_met(call, refused, tmp_path):
     middle = sky.coord.separation(sky.mean_direction).argmin()
     asked = ["--constraint", f"required {sky.id[middle]}", "--constraint", "science=10-300"]
     call("plan example:anticenter --instrument sdss_apo --output", path, *asked)
-    had = int((rs.Tile.read(path).table["status"] == "assigned").sum())
-    out = call("score", path, *asked).out
+    had, out = int((rs.Tile.read(path).table["status"] == "assigned").sum()), call("score", path, *asked).out
     lines = [" ".join(line.split()) for line in out.splitlines()]
     assert {"constraints not met 0 of 2", f"targets that science=10-300 counts {had}"} <= {*lines}
     assert "not met:" not in out

@@ -62,8 +62,7 @@ def test_points_of_sobol_and_other_losses(call, tmp_path):
     text = call(f"design {grid} {loss} --output", tmp_path / "d.fits").text
     assert "(fraction of lost fibers): collision_free; on the Pareto front (usable max, loss min)" in text
     found = QTable.read(tmp_path / "d.fits")
-    assert len(found) == 8
-    assert set(found["method"]) == {"optimal"}
+    assert (len(found), set(found["method"])) == (8, {"optimal"})
     assert (found["targets"] == 2).all()
     assert "36 designs, definition of the loss (fraction of lost fibers): independent" in call("design").out
     assert "no sensitivities: at least one of central_arm" in call("design --ratio 1 --pitch 25.6").out
@@ -148,8 +147,7 @@ def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
     """Regression: few points were invisible, and the ratio of the arms was not shown if the pitch had more values."""
     ax = rs.plot.plot_designs(table)
     words = [text.get_text() for text in ax.get_legend().get_texts()]
-    ratios = np.unique(table["ratio"])
-    assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in ratios]
+    assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in np.unique(table["ratio"])]
     assert words[-1] == f"front: no other design is better in both objectives ({table['pareto'].sum()} of {len(table)})"
     ax.figure.draw_without_rendering()  # matplotlib computes colors from values when it draws a figure
     one, other = ax.collections[0], ax.collections[2]
@@ -170,8 +168,7 @@ def test_columns_marks_and_style_can_be_chosen(table):
     star = ax.collections[-1]
     assert to_hex(star.get_facecolor()[0]) == COLLISION.lower()
     np.testing.assert_allclose(star.get_offsets(), [[25.6, lamost["loss"][0]]])
-    assert [t.get_text() for t in ax.texts] == ["LAMOST"]
-    assert ax.collections[0].get_cmap().name == "cividis"
+    assert ([t.get_text() for t in ax.texts], ax.collections[0].get_cmap().name) == (["LAMOST"], "cividis")
     assert ax.get_xlabel() == "pitch [mm]"
 
 
@@ -194,8 +191,7 @@ def test_the_instrument_of_a_scan_is_a_star_with_its_name_and_no_other_point():
     assert [t.get_text() for t in ax.texts] == ["lamost"]
     own = around[-1]
     np.testing.assert_allclose(ax.collections[-1].get_offsets(), [[own["coverage"], own["loss"]]])
-    drawn = offsets(ax.collections[:-1:2])
-    assert len(drawn) == len(around) - 1
+    assert len(offsets(ax.collections[:-1:2])) == len(around) - 1
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     assert [word for word in words if word.startswith("arm ratio")] == ["arm ratio 0.9", "arm ratio 1.1"]
 

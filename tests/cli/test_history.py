@@ -158,20 +158,17 @@ def test_invalid_observations_are_one_sentence_and_record_nothing(refused, plan,
 
 
 def test_nothing_is_recorded_without_a_survey_or_a_table(refused, plan, tmp_path):
-    table = write(tmp_path / "night.csv", tile=[11])
-    assert "does not hold a survey" in refused("record", tmp_path, table)
+    assert "does not hold a survey" in refused("record", tmp_path, write(tmp_path / "night.csv", tile=[11]))
     assert "there is no such file" in refused("record", plan(), tmp_path / "no.csv")
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "joint"])
 def test_the_rest_is_planned_with_the_options_of_the_first_plan(call, plan, record, allocator):
     folder = plan(f"--allocator {allocator} --set lost_in_collision=false")
-    before = parts_of(folder)
-    failed = rs.Survey.read(folder).tile(11)["positioner"][:3]
+    before, failed = parts_of(folder), rs.Survey.read(folder).tile(11)["positioner"][:3]
     record(folder, tile=[11, 12], date=[NIGHT] * 2, state=["done", "partly"])
     record(folder, "--tile 11", positioner=failed, date=[NIGHT] * 3)
-    out = call("survey {} --replan --workers 2", folder).out
-    again = rs.Survey.read(folder)
+    out, again = call("survey {} --replan --workers 2", folder).out, rs.Survey.read(folder)
     assert again.tiles["state"].tolist() == ["done", "partly", "planned", "planned"]
     assert again.tiles["n_failed"][0] == 3
     assert again.provenance["parameters"]["lost_in_collision"] is False
@@ -195,8 +192,7 @@ def test_a_copy_of_a_survey_is_planned_again_in_the_copy(call, plan, record, tmp
     record(copy, tile=[11], state=["done"])
     catalog = f"catalog.path={files / 'stars.fits'}"
     call("survey {} --replan --set {} --tiles {}", copy, catalog, files / "tiles.ecsv")
-    assert parts_of(folder) == before
-    assert rs.Survey.read(copy).tiles["state"][0] == "done"
+    assert (parts_of(folder), rs.Survey.read(copy).tiles["state"][0]) == (before, "done")
     assert not (folder / "events").exists()
 
 
@@ -276,14 +272,12 @@ def test_a_survey_with_events_is_not_continued_as_a_first_plan(refused, plan, re
 def test_the_first_plan_follows_the_rule(call, plan, record):
     """Before the first success, the rule requests one visit of each target."""
     folder = plan("--set rule.after_success=4")
-    survey = rs.Survey.read(folder)
-    assert set(survey.outcomes["requested"].tolist()) == {1}
+    assert set(rs.Survey.read(folder).outcomes["requested"].tolist()) == {1}
     assert keys_of(folder)["rule"] == {"after_success": 4}
     record(folder, tile=[11], state=["done"])
     call("survey {} --replan", folder)
     again = rs.Survey.read(folder)
-    good = np.zeros(len(again.outcomes), dtype=bool)
-    visits = again.tile(11)
+    good, visits = np.zeros(len(again.outcomes), dtype=bool), again.tile(11)
     good[visits["target_row"][visits["observed"]]] = True
     assert (again.outcomes["requested"] == np.where(good, 4, 1)).all()
 
@@ -301,8 +295,7 @@ def test_tables_of_rules_are_relative_to_the_plan_file(call, plan, record, tmp_p
 
 
 def test_visits_of_the_command_line_are_those_of_the_rule(plan):
-    folder = plan("--set rule.retries=1 --visits 3")
-    assert set(rs.Survey.read(folder).outcomes["requested"].tolist()) == {3}
+    assert set(rs.Survey.read(plan("--set rule.retries=1 --visits 3")).outcomes["requested"].tolist()) == {3}
 
 
 def test_visits_that_a_rule_replaces_cause_a_warning(call, words):
@@ -326,8 +319,7 @@ def test_a_survey_without_events_is_planned_again(call, plan):
     folder = plan()
     before = parts_of(folder)
     call("survey {} --replan", folder)
-    assert parts_of(folder) == before
-    assert set(rs.Survey.read(folder).tiles["state"].tolist()) == {"planned"}
+    assert (parts_of(folder), set(rs.Survey.read(folder).tiles["state"].tolist())) == (before, {"planned"})
 
 
 @pytest.fixture
@@ -417,8 +409,7 @@ def test_differences_of_two_plans(call, observed, tmp_path):
     found = call("diff {} {} --output {}", before, observed, tmp_path / "changes.fits")
     expected = rs.survey.diff_surveys(before, observed)
     assert Table.read(tmp_path / "changes.fits")["reason"].tolist() == expected["reason"].tolist()
-    assert found.lines["tiles: observed"] == ["2"]
-    assert found.lines["tiles: dropped"] == ["1"]
+    assert (found.lines["tiles: observed"], found.lines["tiles: dropped"]) == (["2"], ["1"])
     n = int(((expected["tile"] == "14") & (expected["positioner"] != "")).sum())
     assert f"tile 14: {n} fibers changed" in found.out
     assert "tile 11: observed\n" in found.out
@@ -452,8 +443,7 @@ def test_a_rule_is_an_entry_point_of_a_package(plan, install):
     install("mine", code, visit_rules={"mine": "rule"})
     folder = plan("--set rule.function=mine")
     assert keys_of(folder)["rule"] == {"function": "mine"}
-    requested = rs.Survey.read(folder).outcomes["requested"]
-    assert (requested == 3 - (catalog_of(folder).priority == 1)).all()
+    assert (rs.Survey.read(folder).outcomes["requested"] == 3 - (catalog_of(folder).priority == 1)).all()
 
 
 def test_lists_of_tiles_and_catalogs_are_not_recorded(refused, plan, record, files):
@@ -462,8 +452,7 @@ def test_lists_of_tiles_and_catalogs_are_not_recorded(refused, plan, record, fil
     assert "must have one of the columns state, good" in refused("record", folder, files / "tiles.ecsv")
     assert "must have a column state" in refused("record", folder, files / "stars.fits")
     found = record(folder, "--dry-run", tile=[11, 12], state=["done", "bad"])
-    assert found.lines["new events"] == ["2"]
-    assert found.lines["tiles observed"] == ["1", "11"]
+    assert (found.lines["new events"], found.lines["tiles observed"]) == (["2"], ["1", "11"])
     assert found.lines["tiles whose observation was bad"] == ["1", "12"]
     assert "nothing was recorded" in found.out
     assert not (folder / "events").exists()
@@ -510,8 +499,7 @@ def test_python_and_commands_continue_each_others_surveys(call, plan, record, wo
 
 @pytest.mark.filterwarnings("ignore:no target was observed")
 def test_what_no_file_describes_is_no_default_of_commands(refused, words, tmp_path):
-    folder = tmp_path / "plan"
-    tiles = rs.Tiling.read(words[2])
+    folder, tiles = tmp_path / "plan", rs.Tiling.read(words[2])
     survey = rs.plan_survey(rs.Catalog.read(words[1]), "sdss_apo", tiles, allocator=nothing, folder=folder)
     assert survey.summary["n_assigned"] == 0
     assert "unknown allocator 'given in Python'" in refused("survey {} --replan", folder)

@@ -140,8 +140,7 @@ time = 2026-07-01T06:30:00
 wavelength = { BOSS = 0.54, APOGEE = "1.6 um" }
 """
     values = values_of(text, folder=tmp_path)
-    assert values["catalog.path"] == str(tmp_path / "stars.fits")
-    assert values["instrument.name"] == "moons"
+    assert (values["catalog.path"], values["instrument.name"]) == (str(tmp_path / "stars.fits"), "moons")
     for folder in (tmp_path, tmp_path / "sub"):
         written = _plan_file.Given("survey", SURVEY, values).to_toml(folder, documented=True)
         again = values_of(written, folder=folder)
@@ -150,8 +149,7 @@ wavelength = { BOSS = 0.54, APOGEE = "1.6 um" }
     keys = build(survey.SurveyKeys, values)
     assert keys.options == {"time_limit": 10 * u.min, "sky_separation": 10 * u.arcsec}
     assert keys.conditions["wavelength"] == {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
-    assert keys.instrument.margins == {"published": True, "broken": 0.3 * u.mm}
-    assert keys.epoch == "2026-07-01"
+    assert (keys.instrument.margins, keys.epoch) == ({"published": True, "broken": 0.3 * u.mm}, "2026-07-01")
 
 
 @pytest.mark.parametrize(

@@ -53,8 +53,7 @@ def test_fibers_that_are_not_on_target_failed(call, survey, configuration, tmp_p
 
     path = configuration(change=change)
     called = call(f"{RECORD} 0", tmp_path / "plan", path)
-    assert called.err == ""
-    assert called.out.splitlines()[0].split() == ["new", "events", "1"]
+    assert (called.err, called.out.splitlines()[0].split()) == ("", ["new", "events", "1"])
     found = failures(tmp_path / "plan", survey[0])
     assert list(found.values()) == ["not on target"] * 2
     assert set(found) <= set(rs.plans.read_plan(path)["positioner"].tolist())
@@ -102,12 +101,10 @@ def test_a_real_configuration_is_recorded(call, real_data, tmp_path, name, n_goo
     survey = rs.plan_survey(catalog, "sdss_apo", tiles, allocator="nearest", folder=tmp_path / "plan")
     err = call(f"{RECORD} 17", tmp_path / "plan", path).err
     assert ("was on target; therefore, all visits of tile 17 are recorded as failed" in err) == (n_good == 0)
-    row_of = dict(zip(used["positioner"].tolist(), range(len(used)), strict=True))
-    good = 0
+    row_of, good = dict(zip(used["positioner"].tolist(), range(len(used)), strict=True)), 0
     for visit in survey.tile(17):
         row = row_of.get(str(visit["positioner"]), -1)
         same = row >= 0 and used["target_id"][row] == visit["target_id"]
         good += bool(same and used["on_target"][row] == 1 and visit["observed"])
-    state = rs.survey.SurveyState.read(tmp_path / "plan", catalog)
-    assert int(state.observed.sum()) == good
+    assert int(rs.survey.SurveyState.read(tmp_path / "plan", catalog).observed.sum()) == good
     assert (good > 0) == (n_good > 0)

@@ -61,8 +61,7 @@ def test_the_option_hdu_selects_the_table_of_an_assignment(call, refused, path, 
         hdus.append(fits.table_to_hdu(table))
         hdus.writeto(plan)
     assert "give --set catalog.hdu=NAME" in refused(f"score {{}} {MOONS}", plan)
-    lines = call(f"score {{}} {MOONS} --set catalog.hdu=4", plan).lines
-    assert str(len(table)) in lines["assigned"]
+    assert str(len(table)) in call(f"score {{}} {MOONS} --set catalog.hdu=4", plan).lines["assigned"]
 
 
 @pytest.mark.parametrize("file", ["{}", "example:anticenter"])

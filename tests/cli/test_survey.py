@@ -126,8 +126,7 @@ def test_plan_and_survey_print_the_same_pair_for_required_targets(call, files, t
     plan = call("plan --instrument moons --center '95 23'", *files).lines
     survey = call("survey --instrument moons --visits 1 --tiles", tmp_path / "one.ecsv", *files).lines
     tile = rs.plan_tile(sky, "moons", CENTER, allocator=rs.AllocationOptions(required=required))
-    outcome = tile.outcomes["outcome"][np.isin(tile.outcomes["target_id"], required)]
-    n = int((outcome == "observed").sum())
+    n = int((tile.outcomes["outcome"][np.isin(tile.outcomes["target_id"], required)] == "observed").sum())
     assert 0 < n == tile.summary["n_required_observed"] < tile.summary["n_required"] == len(required)
     name = "required targets observed"
     assert plan[name] == survey[name] == [str(n), "of", str(len(required))]
@@ -210,8 +209,7 @@ def test_columns_and_units_of_tiles_can_be_given(call, refused, run, files, tmp_
     """The options for columns and units did not apply to tables of tiles, although an error recommended them."""
     path = tmp_path / "tiles.ecsv"
     QTable({"who": [7, 8], "alpha": [94.8 / 15, 95.2 / 15], "delta": [23, 23] * u.deg, "mag": [1, 2]}).write(path)
-    values = (files[0] / "stars.fits", path, tmp_path / "out")[: words.count("{}")]
-    command = words.split()[0]
+    values, command = (files[0] / "stars.fits", path, tmp_path / "out")[: words.count("{}")], words.split()[0]
     named = words + "".join(f" --set tiles.columns.{one}" for one in ("tile=who", "ra=alpha", "dec=delta"))
     assert "--set tiles.columns.ra=..." in refused(words, *values)
     assert "or --set tiles.units.ra=deg" in refused(named, *values)

@@ -41,8 +41,7 @@ def test_targets_of_desi_are_planned(call, real_data, presets, name, priority, v
     roles = f"priority: {priority}, subpriority: SUBPRIORITY, visits: {visits}, kind: DESI_TARGET, id: TARGETID"
     assert roles in called.text
     assert lines["targets in the catalog"] == [str(len(coord))]
-    inside = coord.separation(PLEIADES) < presets["desi"].field_radius
-    n_inside = int(lines["in the field"][0])
+    inside, n_inside = coord.separation(PLEIADES) < presets["desi"].field_radius, int(lines["in the field"][0])
     assert abs(n_inside - inside.sum()) <= 1  # a target at the edge of the field
     assert abs(n_inside - int(lines["sky, standards or 0 visits"][0]) - (inside & (wanted > 0)).sum()) <= 1
     rows = [line.split() for line in out.splitlines() if line.split()[:2] == ["science", "all"]]
@@ -58,15 +57,13 @@ def test_surveys_of_desi_are_planned_with_the_list_of_tiles_of_desi(call, real_d
     coord, _, wanted = read_desi(path, priority, visits)
     table = Table.read(tiles)
     called = call("survey {} --instrument desi --tiles {} --allocator nearest", path, tiles)
-    lines = called.lines
-    n_out = np.count_nonzero(~table["IN_DESI"])
+    lines, n_out = called.lines, np.count_nonzero(~table["IN_DESI"])
     text = f"columns of tiles: tile: TILEID, ra: RA, dec: DEC, pass: PASS; omitted: {n_out} of {len(table)} tiles"
     assert text in called.out
     assert lines["tiles"] == [str(len(table) - n_out)]
     assert lines["targets with requested visits"] == [str(np.count_nonzero(wanted))]
     assert lines["visits requested"] == [str(wanted.sum())]
-    centers = SkyCoord(table["RA"], table["DEC"], unit="deg")
-    nearest = coord[wanted > 0].match_to_catalog_sky(centers)[1]
+    nearest = coord[wanted > 0].match_to_catalog_sky(SkyCoord(table["RA"], table["DEC"], unit="deg"))[1]
     assert lines["targets in no field"] == [str(np.count_nonzero(nearest > 1.63 * u.deg))]
 
 
@@ -83,8 +80,7 @@ def test_the_targets_of_desi_are_observed_on_tiles_in_their_field(call, real_dat
     )
     lines = called.lines
     omitted = "1 of 3 tiles (IN_DESI = 0) are omitted, because they are not part of DESI's survey"
-    assert warnings_of(called) == [omitted]
-    assert lines["tiles"] == ["2"]
+    assert (warnings_of(called), lines["tiles"]) == ([omitted], ["2"])
     inside = np.count_nonzero((coord.separation(PLEIADES) < rs.Instrument.preset("desi").field_radius) & (wanted > 0))
     assert abs(np.count_nonzero(wanted) - inside - int(lines["targets in no field"][0])) <= 1
     assert 0.8 * inside < int(lines["observed"][0]) <= inside
@@ -92,8 +88,7 @@ def test_the_targets_of_desi_are_observed_on_tiles_in_their_field(call, real_dat
 
 def test_candidates_of_sdssv_are_planned(call, real_data, presets):
     path = real_data("sdssv_robostrategy_field_a.ecsv")
-    table = Table.read(path)
-    words = "plan {} --instrument sdss_apo --center '269.59 66.55' --position-angle 40"
+    table, words = Table.read(path), "plan {} --instrument sdss_apo --center '269.59 66.55' --position-angle 40"
     assert "SDSS-V uses the north of date: give --set equinox=J2026" in call(words, path).err
     words += " --set equinox=J2021.0"
     hint = "standard stars and sky positions are assigned only if numbers of them are required"

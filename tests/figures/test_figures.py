@@ -36,9 +36,7 @@ def tile(instrument, **options):
 @pytest.fixture(scope="module")
 def worn():
     """Return an instrument with some disabled and stuck positioners."""
-    apo = rs.Instrument.preset("sdss_apo")
-    rng = np.random.default_rng(2)
-    stuck = np.full((500, 2), np.nan)
+    apo, rng, stuck = rs.Instrument.preset("sdss_apo"), np.random.default_rng(2), np.full((500, 2), np.nan)
     stuck[rng.choice(500, 30, replace=False)] = 50, 100
     plane = replace(apo.focal_plane, stuck=stuck * u.deg, disabled=rng.random(500) < 0.05)
     return replace(apo, focal_plane=plane)
@@ -74,8 +72,7 @@ def test_focal_plane_as_dots_at_a_position_angle():
 
 @kept
 def test_part_of_a_worn_focal_plane(worn):
-    region = [[-90, -90], [90, 90]] * u.mm
-    return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
+    return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=[[-90, -90], [90, 90]] * u.mm).figure
 
 
 @pytest.fixture(scope="module")
@@ -203,8 +200,7 @@ quadrature independent 256 160 0.0007 0.0001 0.0005
 @kept
 def test_speed_against_accuracy():
     meta = {"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"}
-    table = text_table(SPEED, meta, time=u.ms, max_error=u.mm)
-    figure = Figure(figsize=(9, 9))
+    table, figure = text_table(SPEED, meta, time=u.ms, max_error=u.mm), Figure(figsize=(9, 9))
     return rs.plot.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
 
 

@@ -116,8 +116,7 @@ def test_all_that_is_drawn_is_inside_the_figure(results, name):
 
 def test_every_public_plot_is_tested_here():
     public = {name for name in rs.plot.__all__ if name.startswith("plot_")}
-    used = {name for draw in PLOTS.values() for name in draw.__code__.co_names}
-    assert public <= used
+    assert public <= {name for draw in PLOTS.values() for name in draw.__code__.co_names}
 
 
 def test_points_at_zero_are_whole(results):

@@ -136,8 +136,7 @@ def test_the_page_itself_runs_its_script_under_its_policy(visit, tmp_path):
     other = page.context.browser.new_page()
     other.on("console", lambda message: refused.append(message.text))
     other.goto(path.as_uri())
-    assert other.title() == "Untitled table"
-    assert len(refused) == 1
+    assert (other.title(), len(refused)) == ("Untitled table", 1)
 
 
 def test_heads_and_numbers_of_a_table_end_at_the_same_place(visit, tmp_path):

@@ -64,8 +64,7 @@ def an_assigned(tile, k=40):
 def test_the_wheel_the_buttons_and_the_keys_zoom(page):
     reset(page)
     scale = lambda: page.evaluate(f"{VIEW}.stage.scale")  # noqa: E731
-    whole = scale()
-    box = page.locator("canvas").bounding_box()
+    whole, box = scale(), page.locator("canvas").bounding_box()
     at = box["x"] + 200, box["y"] + 150
     before = page.evaluate(f"{VIEW}.stage.toWorld(200, 150)")
     page.mouse.move(*at)
@@ -113,8 +112,7 @@ def test_the_coordinates_under_the_pointer_are_shown(page):
 def test_dragging_moves_the_plot(page):
     reset(page)
     page.get_by_role("button", name="Zoom in").click()
-    box = page.locator("canvas").bounding_box()
-    before = page.evaluate(f"{VIEW}.stage.toWorld(300, 300)")
+    box, before = page.locator("canvas").bounding_box(), page.evaluate(f"{VIEW}.stage.toWorld(300, 300)")
     page.mouse.move(box["x"] + 300, box["y"] + 300)
     page.mouse.down()
     page.mouse.move(box["x"] + 360, box["y"] + 320, steps=5)
@@ -128,8 +126,7 @@ def test_dragging_moves_the_plot(page):
 def test_two_fingers_zoom(visit, files):
     phone = visit(files / "one.html", width=400, height=850, touch=True)
     phone.locator("canvas").scroll_into_view_if_needed()
-    box = phone.locator("canvas").bounding_box()
-    whole = phone.evaluate(f"{VIEW}.stage.scale")
+    box, whole = phone.locator("canvas").bounding_box(), phone.evaluate(f"{VIEW}.stage.scale")
     session = phone.context.new_cdp_session(phone)
     for kind, half in (("touchStart", 30), ("touchMove", 50), ("touchMove", 80), ("touchMove", 110)):
         middle = box["x"] + 170, box["y"] + 150
@@ -163,8 +160,7 @@ def test_a_click_selects_in_the_table_and_back(page, tiles):
     page.locator("canvas").scroll_into_view_if_needed()
     page.mouse.click(*point_of(page, row["id"]))
     marked = page.locator("tr[aria-selected=true]")
-    assert marked.count() == 1
-    assert marked.locator("td").first.inner_text() == row["target_id"]
+    assert (marked.count(), marked.locator("td").first.inner_text()) == (1, row["target_id"])
     page.evaluate(f"(name) => {VIEW}.table.mark({VIEW}.row.get(name), true)", other["id"])
     page.get_by_role("button", name=f"Positioner {other['id']}: select", exact=True).click()
     assert page.evaluate(f"{VIEW}.id[{VIEW}.selected]") == other["id"]
@@ -203,13 +199,11 @@ WHY = ("disabled", "stuck", "no target in reach", "assigned to", "the arm would 
 
 
 def test_the_reason_of_each_idle_positioner_is_shown(visit, files, tiles):
-    page = visit(files / "two.html")
-    plan = tiles["repair"]
+    page, plan = visit(files / "two.html"), tiles["repair"]
     seen, script = set(), f"(names) => names.map((name) => {VIEW}.why({VIEW}.row.get(name)).join(' '))"
     texts = page.evaluate(script, plan.idle["id"].tolist())
     for row, text in zip(plan.idle, texts, strict=True):
-        code = IDLE_REASONS.index(row["reason"])
-        free = plan.idle_targets[plan.idle_targets["id"] == row["id"]]
+        code, free = IDLE_REASONS.index(row["reason"]), plan.idle_targets[plan.idle_targets["id"] == row["id"]]
         assert WHY[code] in text
         if code == 4:
             for one in free[:8]:
@@ -223,8 +217,7 @@ def test_the_keyboard_selects_neighbors_and_opens_the_table(page, tiles):
     reset(page)
     page.locator("canvas").focus()
     page.keyboard.press("ArrowRight")
-    first = page.evaluate(f"{VIEW}.selected")
-    xy = page.evaluate(f"[{VIEW}.x, {VIEW}.y]")
+    first, xy = page.evaluate(f"{VIEW}.selected"), page.evaluate(f"[{VIEW}.x, {VIEW}.y]")
     # x increases to the left
     for key, (dx, dy) in {"Right": (-1, 0), "Left": (1, 0), "Up": (0, 1), "Down": (0, -1)}.items():
         before = page.evaluate(f"{VIEW}.selected")
@@ -246,8 +239,7 @@ def test_differences_of_two_plans_are_those_of_their_tables(visit, files, tiles)
     a, b = (np.ma.filled(tiles[name].table["target_id"], "").tolist() for name in ("repair", "lamost_rule"))
     both = zip(a, b, strict=True)
     kinds = ["same" if x == y else "first" if not y else "second" if not x else "other" for x, y in both]
-    assert page.evaluate(f"{VIEW}.id.map((_, k) => {VIEW}.change(k))") == kinds
-    assert len(set(kinds)) == 4
+    assert (page.evaluate(f"{VIEW}.id.map((_, k) => {VIEW}.change(k))"), len(set(kinds))) == (kinds, 4)
     page.get_by_label("Show", exact=True).select_option("changed")
     assert page.locator(".count").first.inner_text().startswith(f"Shown: {500 - kinds.count('same')} of 500")
     page.get_by_label("Compared with").select_option("no other plan")
@@ -274,8 +266,7 @@ def test_hostile_names_stay_text(visit, write_view, tmp_path, small):
     text = (tmp_path / "page.html").read_text()
     assert "<script>document" not in text
     assert "<img" not in text
-    data = json.loads(Reader(text).text("script")[0])
-    assert HOSTILE in data["plans"][1]["name"]
+    assert HOSTILE in json.loads(Reader(text).text("script")[0])["plans"][1]["name"]
     page = visit(tmp_path / "page.html")
     page.evaluate(f"{VIEW}.choose({VIEW}.plan.target_id.findIndex(Boolean))")
     page.get_by_text("All assignments", exact=True).click()
@@ -285,8 +276,7 @@ def test_hostile_names_stay_text(visit, write_view, tmp_path, small):
 
 
 def test_figures_replace_the_view_without_scripts_and_on_paper(visit, files):
-    still = visit(files / "one.html", scripts=False)
-    assert still.locator(".still svg").first.is_visible()
+    assert visit(files / "one.html", scripts=False).locator(".still svg").first.is_visible()
     printed = visit(files / "one.html")
     assert not printed.locator(".still svg").first.is_visible()
     assert printed.locator("canvas").is_visible()
@@ -309,6 +299,5 @@ def test_controls_are_large_enough_and_the_page_does_not_scroll_sideways(visit, 
 def test_every_control_has_a_name_and_the_selection_is_announced(page):
     unnamed = page.evaluate("""[...document.querySelectorAll('.live :is(button, select, input, canvas, [role=region])')]
         .filter((e) => !(e.getAttribute('aria-label') || e.labels?.length || e.textContent.trim())).length""")
-    assert unnamed == 0
-    assert page.locator(".panel").get_attribute("aria-live") == "polite"
+    assert (unnamed, page.locator(".panel").get_attribute("aria-live")) == (0, "polite")
     assert page.locator("canvas").get_attribute("tabindex") == "0"

@@ -96,8 +96,7 @@ def written(result, folder, **options):
 @pytest.mark.few(2)
 @pytest.mark.parametrize("kind", ["tile", "survey", "tiling", "estimate", "table", "allocators", "status"])
 def test_a_page_is_well_formed_complete_and_fetches_nothing(results, tmp_path, kind):
-    text = written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()})
-    page = Reader(text)
+    page = Reader(written(results[kind], tmp_path, figures={NASTY: nasty_figure(), "again": nasty_figure()}))
     assert page.all("html") == [{"lang": "en"}]
     assert [len(page.all(tag)) for tag in ("title", "h1", "main", "footer")][1:] == [1, 1, 1]
     metas = {a.get("name", a.get("http-equiv")): a.get("content") for a in page.all("meta")}
@@ -135,8 +134,7 @@ def test_what_others_wrote_is_shown_as_text(tmp_path):
     shown = NASTY.replace("\x07", "\N{REPLACEMENT CHARACTER}")
     assert "".join(page.text("h1")) == shown
     heads, rows = page.table("3 rows and 5 columns.")
-    assert rows[0][0]["text"] == shown
-    assert heads == ["name", "<b>length mm", "count", "pair", "when"]
+    assert (rows[0][0]["text"], heads) == (shown, ["name", "<b>length mm", "count", "pair", "when"])
     assert page.facts()["note"] == shown
     assert page.facts()["deeper"].startswith(shown)
     assert shown in page.text("figcaption") + page.text("strong")
@@ -158,8 +156,7 @@ def test_cells_hold_full_values_and_say_what_is_missing(tmp_path):
     np.testing.assert_array_equal([full(row[1]) for row in rows], [1.23456789, np.nan, -3e-9])
     assert [row[2]["text"] for row in rows] == ["10", "\N{EN DASH}", "100"]
     assert ["missing" in row[2]["class"] for row in rows] == [False, True, False]
-    assert rows[2][0]["class"] == "missing"
-    assert rows[0][3]["text"] == "[1 2]"
+    assert (rows[2][0]["class"], rows[0][3]["text"]) == ("missing", "[1 2]")
     assert rows[1][4]["text"].startswith("2026-02-01")
 
 
@@ -249,8 +246,7 @@ def test_a_survey_has_its_own_numbers(survey, plain_page):
     shown = [full(row[heads.index("n observed")]) for row in rows]
     np.testing.assert_array_equal(shown, survey.completeness["n_observed"])
     assert int(page.facts()["visits requested"]) == survey.summary["n_visits_requested"]
-    assert page.facts()["model"] == survey.summary["model"]
-    assert len(page.all("svg")) == 2
+    assert (page.facts()["model"], len(page.all("svg"))) == (survey.summary["model"], 2)
 
 
 def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
@@ -259,8 +255,7 @@ def test_the_summary_of_a_tiling_has_labels(results, small, tmp_path):
     for tiling in (results["tiling"], rs.place_tiles(sky, small)):
         facts = Reader(written(tiling, tmp_path)).facts()
         keys = {key.replace("_", " ") for key in tiling.summary if "_" in key} - {"arm model"}
-        foot = {key for key in facts if "_" in key}
-        assert not keys & (set(facts) - foot)
+        assert not keys & (set(facts) - {key for key in facts if "_" in key})
         assert float(facts["radius of a field in degrees"]) == pytest.approx(tiling.summary["radius_deg"], rel=1e-3)
     assert int(facts["targets with requested visits"]) == tiling.summary["n_targets"]
 
@@ -303,8 +298,7 @@ rs.write_report(QTable({'a': [1.5]}), sys.argv[1], figures=ax)
 
 def test_another_process_writes_the_same_bytes(tmp_path, monkeypatch):
     there, here = tmp_path / "there.html", tmp_path / "here.html"
-    environment = {**os.environ, "PYTHONHASHSEED": "7"}
-    subprocess.run([sys.executable, "-c", SAME, there], check=True, env=environment)
+    subprocess.run([sys.executable, "-c", SAME, there], check=True, env={**os.environ, "PYTHONHASHSEED": "7"})
     monkeypatch.setattr(sys, "argv", ["-c", str(here)])
     exec(SAME, {})
     assert here.read_bytes() == there.read_bytes()
@@ -341,10 +335,8 @@ def test_grays_follow_the_page_and_colors_do_not(tmp_path):
 
 def test_the_part_that_is_shown_larger_has_the_most_collisions(tile):
     low, high = _tile._crowded(tile).to_value(u.mm)
-    xy = np.column_stack([tile.table["x"].value, tile.table["y"].value])
-    red = xy[tile.table["in_collision"]]
-    inside = ((red >= low) & (red <= high)).all(axis=1).sum()
-    half = (high - low) / 2
+    red = np.column_stack([tile.table["x"].value, tile.table["y"].value])[tile.table["in_collision"]]
+    inside, half = ((red >= low) & (red <= high)).all(axis=1).sum(), (high - low) / 2
     assert inside >= max((np.abs(red - middle) < half).all(axis=1).sum() for middle in red) > 3
 
 
