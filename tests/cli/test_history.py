@@ -315,13 +315,6 @@ def test_invalid_rules_are_one_sentence(refused, words, tmp_path):
     assert not (tmp_path / "new").exists()
 
 
-def test_a_survey_without_events_is_planned_again(call, plan):
-    folder = plan()
-    before = parts_of(folder)
-    call("survey {} --replan", folder)
-    assert (parts_of(folder), set(rs.Survey.read(folder).tiles["state"].tolist())) == (before, {"planned"})
-
-
 @pytest.fixture
 def observed(plan, record):
     """Return a survey with two observed tiles, of which three visits failed, and a dropped tile."""

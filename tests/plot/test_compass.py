@@ -67,12 +67,6 @@ def test_instruments_are_drawn_at_position_angle_zero(presets, draw):
     np.testing.assert_allclose([found["N"], found["E"]], [up, right], atol=1e-9)
 
 
-def test_east_is_to_the_left_on_focal_planes_and_on_the_sky(sky, small):
-    assert rs.plot.plot_tiling(rs.place_tiles(sky, small)).xaxis_inverted()
-    assert rs.plot.plot_focal_plane(small).xaxis_inverted()
-    assert not rs.plot.plot_focal_plane(small, orientation="focal plane").xaxis_inverted()
-
-
 @pytest.mark.parametrize("position_angle", [0, 45, 123.456, 315.25])
 def test_the_compass_is_inside_the_axes(presets, sky, position_angle):
     """Regression: the label of an angle with three decimals extended beyond the axes."""

@@ -247,15 +247,6 @@ def test_arms_can_be_asked_for(large, presets):
     assert arms(rs.plot.plot_focal_plane(few, arms=False)) == 0
 
 
-@pytest.mark.parametrize("name", ["lamost", "desi"])
-def test_thousands_of_positioners_are_dots(presets, name):
-    model = presets[name]
-    sky = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=3000, rng=1)
-    ax = rs.plot.plot_focal_plane(rs.plan_tile(sky, model, CENTER, allocator="balanced"))
-    assert arms(ax) == 0
-    assert len(ax.collections) < 12
-
-
 def test_targets_are_crosses_where_they_are_projected_to(presets, large):
     xy = presets["pfs"].projection(CENTER).to_focal_plane(SkyCoord([95, 95.3] * u.deg, [23.1, 22.9] * u.deg))
     ax = rs.plot.plot_focal_plane(large, targets=xy)
