@@ -28,6 +28,18 @@ MOONS = "--instrument moons"
 SEVERAL = "the file has 3 tables, and only the first one was read: 1 (EXPOSURES), 2 (TARGETS), 3 (TILES)"
 
 
+@pytest.fixture
+def errors_of(run):
+    """Return a function that runs a command that is refused, and returns its errors, which contain a warning."""
+
+    def errors_of(words, path):
+        code, _, err = run(*(path if word == "{}" else word for word in words.split()))
+        assert code == 2
+        return err
+
+    return errors_of
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     "words",
@@ -41,10 +53,10 @@ SEVERAL = "the file has 3 tables, and only the first one was read: 1 (EXPOSURES)
         "probability moons --precision 0.1 --targets {}",
     ],
 )
-def test_the_option_hdu_selects_a_table_of_targets(call, refused, path, words):
+def test_the_option_hdu_selects_a_table_of_targets(call, errors_of, path, words):
     """Only the first table of a FITS file could be read."""
     paths = [path] * words.count("{}")
-    message = refused(words, *paths)
+    message = errors_of(words, path)
     assert f"{path}: {SEVERAL}" in message
     assert "to read another table, give hdu= or --set catalog.hdu=NAME" in message
     for hdu in ("2", "targets"):
@@ -53,14 +65,14 @@ def test_the_option_hdu_selects_a_table_of_targets(call, refused, path, words):
         assert "the file has 3 tables" not in err
 
 
-def test_the_option_hdu_selects_the_table_of_an_assignment(call, refused, path, tmp_path):
+def test_the_option_hdu_selects_the_table_of_an_assignment(call, errors_of, path, tmp_path):
     target = rs.plan_tile(rs.Catalog.read(path, hdu=2), "moons").table
     table = target[target["status"] == "assigned"]["id", "tip_x", "tip_y"]
     table.meta, plan = {}, tmp_path / "plan.fits"
     with fits.open(path) as hdus:
         hdus.append(fits.table_to_hdu(table))
         hdus.writeto(plan)
-    assert "give --set catalog.hdu=NAME" in refused(f"score {{}} {MOONS}", plan)
+    assert "give --set catalog.hdu=NAME" in errors_of(f"score {{}} {MOONS}", plan)
     assert str(len(table)) in call(f"score {{}} {MOONS} --set catalog.hdu=4", plan).lines["assigned"]
 
 
