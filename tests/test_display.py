@@ -14,8 +14,7 @@ CENTER = SkyCoord("6h20m +23d")
 def results():
     sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=300, rng=1)
     sky = rs.Catalog(sky.coord, id=[f"<b>{k}</b>" for k in range(len(sky))])
-    moons = rs.Instrument.preset("moons")
-    xy = np.random.default_rng(1).uniform(-100, 100, (50, 2)) * u.mm
+    moons, xy = rs.Instrument.preset("moons"), np.random.default_rng(1).uniform(-100, 100, (50, 2)) * u.mm
     plan = rs.allocate(moons.focal_plane, xy, allocator="balanced")
     return {
         "tile": rs.plan_tile(sky, moons, CENTER, allocator="lamost_rule"),

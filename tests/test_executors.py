@@ -64,8 +64,7 @@ def is_alive(pid):
 )
 def test_workers_end_when_their_parent_is_killed(tmp_path, script, arguments):
     """Regression: each worker waited for work forever, with 215 MB of memory."""
-    path = tmp_path / "script.py"
-    script = script.replace("PACKAGE", repr(os.path.dirname(rfpsurvey.__file__)))
+    path, script = tmp_path / "script.py", script.replace("PACKAGE", repr(os.path.dirname(rfpsurvey.__file__)))
     path.write_text(script if arguments[-1:] != ["0.01"] else script + "        time.sleep(600)\n")
     parent = subprocess.Popen([sys.executable, "-W", "ignore", path, *arguments], stdout=subprocess.PIPE, text=True)
     try:
@@ -156,6 +155,5 @@ def test_few_jobs_are_made_before_the_first_result_is_awaited():
             yield job
 
     with ThreadPoolExecutor(1) as executor:
-        results = in_order(executor, abs, count(), 8, 4)
-        next(results)
+        next(in_order(executor, abs, count(), 8, 4))
         assert len(made) == 8

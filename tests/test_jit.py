@@ -51,13 +51,10 @@ for line in sys.stdin:
 
 @pytest.fixture(scope="module")
 def probe(tmp_path_factory):
-    """Return a function that takes a copy of the package, and returns a value computed in a new process and its cache
-    hits.
-    """
+    """Return a function that returns a value computed with a copy of the package in a new process, and cache hits."""
     clean = {k: v for k, v in os.environ.items() if not k.startswith(("NUMBA", "RFPSURVEY_CACHE"))}
     pipes = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-    environment = {**clean, "PYTHONDONTWRITEBYTECODE": "1"}
-    folder = tmp_path_factory.mktemp("probes")
+    environment, folder = {**clean, "PYTHONDONTWRITEBYTECODE": "1"}, tmp_path_factory.mktemp("probes")
     with subprocess.Popen([sys.executable, "-c", PROBES], cwd=folder, env=environment, **pipes) as process:
 
         def ask(copy, **environment):
@@ -70,8 +67,7 @@ def probe(tmp_path_factory):
 
 @pytest.fixture
 def copy(tmp_path):
-    package = Path(rfpsurvey.__file__).parent
-    target = tmp_path / "rfpsurvey"
+    package, target = Path(rfpsurvey.__file__).parent, tmp_path / "rfpsurvey"
     shutil.copytree(package, target, ignore=shutil.ignore_patterns("__pycache__"))
     return target
 
@@ -98,15 +94,13 @@ def test_an_edit_in_a_file_that_a_kernel_calls_never_runs_old_code(probe, compil
         ("collisions.py", "Find arms that", "Find pair that"),
     ):
         path = copy / "_kernels" / name
-        stat = path.stat()
-        text = path.read_text()
+        stat, text = path.stat(), path.read_text()
         assert text.count(old) == 1
         path.write_text(text.replace(old, new))
         os.utime(path, ns=(stat.st_atime_ns, stat.st_mtime_ns))
         assert path.stat().st_size == stat.st_size
         value, hits = probe(copy)
-        assert hits == 0
-        assert value == -first[0]
+        assert (hits, value) == (0, -first[0])
     assert probe(copy)[1] == 1
 
 
@@ -150,8 +144,7 @@ def test_an_interrupt_between_the_index_and_the_code_leaves_no_old_code(tmp_path
     file = IndexDataCacheFile(str(tmp_path), "solve", "stamp")
     _jit._make_safe(file)
     file.save("one signature", "code")
-    old = tmp_path / "solve.2.nbc"
-    old.write_bytes(pickle.dumps("old code"))
+    (tmp_path / "solve.2.nbc").write_bytes(pickle.dumps("old code"))
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(file, "_save_data", interrupt)
         with pytest.raises(KeyboardInterrupt):

@@ -39,8 +39,7 @@ def test_sdss_focal_plane_is_reproduced(presets, field_a):
 
 def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
     tile = rs.score_tile(field_a, presets["sdss_apo"])
-    assert tile.summary["n_assigned"] == 494
-    assert tile.summary["n_colliding_pairs"] == 0
+    assert (tile.summary["n_assigned"], tile.summary["n_colliding_pairs"]) == (494, 0)
     # one target is 0.01 mm beyond the nominal reach; the survey uses the measured length of each arm
     assert tile.summary["n_out_of_reach"] <= 1
     # the result depends on the arm model: a segment to the fiber has 7 colliding pairs, and an arm of 15 mm has 9
@@ -53,20 +52,11 @@ def test_the_plan_of_the_survey_has_no_robot_robot_collision(presets, field_a):
         assert rs.score_tile(field_a, instrument).summary["n_colliding_pairs"] == pairs
 
 
+APO, LCO = [21636, 21637, 50323], [502706, 503246, 503247, 505253, 505254]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("design", "name"),
-    [
-        (21636, "sdss_apo"),
-        (21637, "sdss_apo"),
-        (50323, "sdss_apo"),
-        (502706, "sdss_lco"),
-        (503246, "sdss_lco"),
-        (503247, "sdss_lco"),
-        (505253, "sdss_lco"),
-        (505254, "sdss_lco"),
-    ],
-)
+@pytest.mark.parametrize(("design", "name"), [*((n, "sdss_apo") for n in APO), *((n, "sdss_lco") for n in LCO)])
 def test_designs_of_both_sites_score_from_the_sky(presets, real_data, design, name):
     """With only ra and dec, and without refraction, nearly all targets are in reach, and few pairs collide."""
     t = QTable.read(real_data("sdssv_eight_designs.ecsv"))
@@ -117,8 +107,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
     presets, real_data, field_a, where
 ):
     """The planner of the survey assigned 494 of 500 robots."""
-    plane = presets["sdss_apo"].focal_plane
-    requirements = [f"{name}={n}" for name, n in REQUIRED.items()]
+    plane, requirements = presets["sdss_apo"].focal_plane, [f"{name}={n}" for name, n in REQUIRED.items()]
     catalog = rs.Catalog.read(real_data("sdssv_robostrategy_field_a.ecsv"))
     if where == "sky":
         center = SkyCoord(269.59, 66.55, unit="deg").transform_to(FK5(equinox="J2021"))
@@ -136,8 +125,7 @@ def test_all_requirements_of_a_survey_field_are_met_with_all_robots_and_no_colli
         columns = {"fiber_type": np.asarray(t["fiber_type"]).astype(str), "kind": kind, "category": category}
         plan = flat.allocate(plane, xy, allocator="optimal", requirements=requirements, **columns)
         assert (plan.n_assigned, plan.gap, plan.unmet) == (500, 0, ())
-        used = category[plan.target_of_positioner].tolist()
-        found = rs.find_collisions(plane, plan)
+        used, found = category[plan.target_of_positioner].tolist(), rs.find_collisions(plane, plan)
         report = len(found.pairs), len(found.obstacle_pairs)
         boss_only = plane.fiber_type == "BOSS"
         assert boss_only.sum() == 202

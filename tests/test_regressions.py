@@ -26,8 +26,7 @@ def test_scoring_a_written_tile_counts_idle_positioners_as_idle(small, tmp_path,
 
     Unsigned integers could not be read.
     """
-    tile = rs.plan_tile(few(id=ids), small, CENTER, allocator="lamost_rule")
-    path = tmp_path / f"tile{suffix}"
+    tile, path = rs.plan_tile(few(id=ids), small, CENTER, allocator="lamost_rule"), tmp_path / f"tile{suffix}"
     tile.write(path)
     assert rs.Tile.read(path) == tile
     plain = QTable.read(path, **({"hdu": "TILE"} if ".fits" in path.name else {}))
@@ -101,8 +100,7 @@ def test_joint_limits_are_looked_at_when_scoring(small):
     x, y = plane.xy[0]
     plan = QTable({"positioner": [0], "x": [x - 14 * MM], "y": [y]})
     tile = rs.score_tile(plan, replace(small, focal_plane=plane))
-    assert tile.summary["n_out_of_reach"] == 1
-    assert tile.table["status"][0] == "out_of_reach"
+    assert (tile.summary["n_out_of_reach"], tile.table["status"][0]) == (1, "out_of_reach")
     tips = np.full((37, 2), np.nan) * MM
     tips[0] = x - 14 * MM, y
     with pytest.raises(rs.InputError, match="1 tips are beyond the joint limits; the first is the tip of positioner 0"):
@@ -128,8 +126,7 @@ def test_targets_without_a_type_go_to_the_first_type_where_maps_differ(small):
     plane = rs.FocalPlane([[0, 0], [110, 0]] * MM, small.focal_plane.positioner, fiber_type=["A", "B"])
     instrument = rs.Instrument("two", plane, distortion=maps)
     coord = CENTER.directional_offset_by([90, 90] * u.deg, [0.01, 110 / 349] * u.deg)
-    tile = rs.plan_tile(rs.Catalog(coord), instrument, CENTER)
-    assert tile.table["status"].tolist() == ["assigned", "parked"]
+    assert rs.plan_tile(rs.Catalog(coord), instrument, CENTER).table["status"].tolist() == ["assigned", "parked"]
 
 
 def test_masked_values_count_as_missing(small):
@@ -137,8 +134,7 @@ def test_masked_values_count_as_missing(small):
     with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
         assert len(rs.Catalog(SkyCoord(Masked([5, 1] * u.deg, mask=[True, False]), [0, 0] * u.deg))) == 1
     tips = Masked([[3, 0]] * MM, mask=[[True, True]])
-    plane = rs.FocalPlane([[0, 0]] * MM, small.focal_plane.positioner)
-    assert not rs.find_collisions(plane, tips).assigned.any()
+    assert not rs.find_collisions(rs.FocalPlane([[0, 0]] * MM, small.focal_plane.positioner), tips).assigned.any()
     with pytest.raises(rs.InputError, match="priority must be a finite number for every target"):
         few(2, priority=np.ma.array([1.0, 2.0], mask=[True, False]))
     x, y = small.focal_plane.xy[:2].T
@@ -250,16 +246,14 @@ def test_meta_of_any_kind_can_be_written(small, tmp_path):
     catalog.write(tmp_path / "c.fits")
     tile.write(tmp_path / "t.fits")
     assert rs.Tile.read(tmp_path / "t.fits") == tile
-    table = QTable({"x": [1]}, meta={"RFPSURVY": "{"})
-    table.write(tmp_path / "damaged.fits")
+    QTable({"x": [1]}, meta={"RFPSURVY": "{"}).write(tmp_path / "damaged.fits")
     with pytest.raises(rs.InputError, match="the header card RFPSURVY must be an object in JSON"):
         rs.Catalog.read(tmp_path / "damaged.fits")
 
 
 def test_the_field_of_a_table_has_units(presets):
     """Position angles in radians, and centers in hours, were read as degrees."""
-    plane = presets["lamost"].focal_plane
-    xy = plane.xy[:1] + [3, 4] * MM
+    xy = presets["lamost"].focal_plane.xy[:1] + [3, 4] * MM
     sky = presets["lamost"].projection(CENTER, 40 * u.deg).to_sky(xy)
     plan = QTable({"positioner": [0], "ra": sky.ra, "dec": sky.dec})
     for angle, hours in ((40 * u.deg, 95 * u.deg), (np.deg2rad(40) * u.rad, 95 / 15 * u.hourangle)):
@@ -314,8 +308,7 @@ def test_tables_with_mixed_columns_are_read(tmp_path):
     """A column of coordinates or times raised an error when a file was read."""
     coord = SkyCoord([95, 96] * u.deg, [23, 24] * u.deg)
     QTable({"target": coord, "when": Time([2016, 2017], format="jyear")}).write(tmp_path / "t.ecsv")
-    catalog = rs.Catalog.read(tmp_path / "t.ecsv")
-    np.testing.assert_allclose(catalog.coord.ra.deg, [95, 96])
+    np.testing.assert_allclose(rs.Catalog.read(tmp_path / "t.ecsv").coord.ra.deg, [95, 96])
 
 
 def test_mistakes_in_a_description_are_named(tmp_path):
@@ -348,8 +341,7 @@ def test_a_description_points_to_a_table_of_positions(small, tmp_path):
         f'[optics]\nplate_scale = {{ value = 200, unit = "mm / deg", {rest}'
     )
     mine = rs.Instrument.read(tmp_path / "mine.toml")
-    assert len(mine.focal_plane) == 37
-    assert mine.focal_plane.positioner.clearance == 2 * MM
+    assert (len(mine.focal_plane), mine.focal_plane.positioner.clearance) == (37, 2 * MM)
 
 
 def test_a_column_in_collision_does_not_make_a_table_ours(small):

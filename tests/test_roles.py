@@ -17,8 +17,7 @@ KINDS = [kind for n in (1, 2, 3) for kind in permutations(ROLES, n)]
 
 @pytest.mark.parametrize("length", [0, 20])
 def test_roles_of_all_kinds(length):
-    texts = np.array([" + ".join(roles).title() for roles in KINDS], dtype=f"U{max(length, 30)}")
-    kind = to_kinds(texts, "kind")
+    kind = to_kinds(np.array([" + ".join(roles).title() for roles in KINDS], dtype=f"U{max(length, 30)}"), "kind")
     for roles, found, rest in zip(KINDS, kind.tolist(), without_science(kind).tolist(), strict=True):
         assert found.split("+") == [role for role in ROLES if role in roles]
         if len(roles) > 1:
@@ -29,12 +28,8 @@ def test_roles_of_all_kinds(length):
             [own for own in one.split("+") if own != role or "+" not in one] for one in kind.tolist()
         ]
         assert has_role(kind, role).tolist() == [role in roles for roles in KINDS]
-    assert (
-        to_kinds([], "kind").shape
-        == without_science(kind[:0]).shape
-        == without_role(kind[:0], "sky", True).shape
-        == (0,)
-    )
+    empty = to_kinds([], "kind"), without_science(kind[:0]), without_role(kind[:0], "sky", True)
+    assert [one.shape for one in empty] == [(0,)] * 3
     others = np.array(["", "star", "Sky+Science", "standard"])
     assert to_kinds(others, "kind", strict=False).tolist() == ["", "star", "science+sky", "standard"]
 
@@ -47,10 +42,8 @@ def test_the_length_of_the_text_remains_the_same():
 
 @pytest.mark.parametrize("kind", ["star", "", "science+star", "science+", "+", 1])
 def test_other_kinds_are_refused(kind):
-    with pytest.raises(
-        rs.InputError, match=r"kind must be science, standard or sky, or several of them joined by '\+'"
-    ):
-        rs.Catalog(rs.synthetic_catalog("uniform", "6h +0d", 1 * u.deg, n_targets=1, rng=1).coord, kind=[kind])
+    with pytest.raises(rs.InputError, match="kind must be science, standard or sky, or several of them joined by '.'"):
+        rs.Catalog(SkyCoord([90] * u.deg, [0] * u.deg), kind=[kind])
 
 
 def test_numbers_of_targets_by_roles_are_stated():
@@ -66,8 +59,7 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     options = rs.AllocationOptions("optimal", requirements=["standard=6"])
     tile = rs.plan_tile(catalog, small, "8h +30d", allocator=options)
     kinds = np.asarray(tile.table["kind"]).astype(str)
-    both = int((kinds == "science+standard").sum())
-    counts = tile.summary["kinds"]
+    both, counts = int((kinds == "science+standard").sum()), tile.summary["kinds"]
     assert counts["standard"]["n_assigned"] == both + (kinds == "standard").sum()
     assert counts["science"]["n_assigned"] == both + (kinds == "science").sum()
     assert counts["standard"]["n_also_science"] == both >= 6
@@ -87,8 +79,7 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
     assert code == 0, err
     assert "roles: 30 science and standard, 55 science, 5 standard" in " ".join(out.split())
     assert "that are science targets (standard)" in out
-    planned = rs.plan_tile(catalog, "sdss_apo", "8h +30d", allocator=options)
-    planned.write(tmp_path / "planned.ecsv")
+    rs.plan_tile(catalog, "sdss_apo", "8h +30d", allocator=options).write(tmp_path / "planned.ecsv")
     given = ["--constraint", "standard=6", "--report", tmp_path / "score.html"]
     code, out, err = run("score", tmp_path / "planned.ecsv", *given)
     assert code == 0, err
@@ -99,10 +90,9 @@ def test_a_tile_states_how_many_required_fibers_are_on_science_targets(small, tm
 def test_collision_probabilities_use_science_targets_with_other_roles(small):
     sky = rs.synthetic_catalog("uniform", "8h +30d", 0.3 * u.deg, n_targets=90, rng=1).coord
     kind = np.where(np.arange(90) % 3, "science+standard", "science")
-    found = [
-        rs.collision_probability(small, targets=rs.Catalog(sky, kind=one), center="8h +30d") for one in (kind, None)
-    ]
-    assert found[0].value == found[1].value > 0
+    catalogs = [rs.Catalog(sky, kind=one) for one in (kind, None)]
+    one, other = (rs.collision_probability(small, targets=sky, center="8h +30d") for sky in catalogs)
+    assert one.value == other.value > 0
 
 
 def test_unset_visits_of_a_science_target_with_other_roles_have_a_warning():
@@ -112,9 +102,8 @@ def test_unset_visits_of_a_science_target_with_other_roles_have_a_warning():
 
 
 def test_formats_with_one_role_keep_the_last_one():
-    assert last_role(np.array(["science", "science+standard", "standard+sky", ""])).tolist() == [
-        *("science", "standard", "sky", "")
-    ]
+    last = last_role(np.array(["science", "science+standard", "standard+sky", ""]))
+    assert last.tolist() == ["science", "standard", "sky", ""]
 
 
 @pytest.mark.parametrize("layout", ["preset", "as built"])
@@ -156,8 +145,7 @@ def test_written_files_with_one_role_contain_the_last_one(tmp_path, presets, nam
     used = plan[np.asarray(plan["assigned"])]
     ids = np.asarray(used["target_id"])
     kinds = np.asarray(used["kind"]).astype(str)[ids >= 0].tolist()
-    assert kinds == last_role(kind[ids[ids >= 0]]).tolist()
-    assert {*kinds} == {"science", "standard", "sky"}
+    assert (kinds, {*kinds}) == (last_role(kind[ids[ids >= 0]]).tolist(), {"science", "standard", "sky"})
 
 
 def replace_kind(catalog):
@@ -176,9 +164,8 @@ def test_a_rule_on_the_distribution_counts_a_standard_that_is_also_a_science_tar
 ):
     sky, kind = sky_and_kinds
     options = rs.AllocationOptions("repair", requirements=["standard=8"], constraints=["distribution standard 1 95 60"])
-    tile = rs.plan_tile(
-        rs.Catalog(sky, id=np.arange(300), kind=kind), presets["sdss_apo"], "8h +30d", allocator=options
-    )
+    catalog = rs.Catalog(sky, id=np.arange(300), kind=kind)
+    tile = rs.plan_tile(catalog, presets["sdss_apo"], "8h +30d", allocator=options)
     used = tile.table[tile.table["status"] == "assigned"]
     roles, xy = kind[np.asarray(used["target_id"])], np.column_stack([used["tip_x"].value, used["tip_y"].value])
     standards = xy[roles == "science+standard"]

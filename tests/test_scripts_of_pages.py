@@ -5,6 +5,7 @@ import re
 import signal
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -34,8 +35,12 @@ SMALL = {
     "survey_figures": ["--targets", "20000", "--tiles", "4"],
 }
 """Arguments that make a script short."""
-SECONDS = 5
-"""A script that runs for this time has started, and is ended."""
+SECONDS, TOGETHER = 3, 2
+"""A script that runs for this time has started, and is ended; so many scripts run at a time."""
+
+
+def lacks_data(script):
+    return not os.environ.get("RFPSURVEY_TEST_DATA") and "RFPSURVEY_TEST_DATA" in script.read_text()
 
 
 def test_pages_name_scripts():
@@ -45,25 +50,31 @@ def test_pages_name_scripts():
     assert {name for name, *_ in quoted.SCRIPTS} <= names
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("script", [one for one in SCRIPTS if (one.stem,) not in quoted.SCRIPTS], ids=lambda p: p.stem)
-def test_scripts_start(script, tmp_path):
-    """Regression: seven scripts used former names of parameters or columns, or did not find the modules they import."""
-    given = SMALL.get(script.stem, [])
-    if not os.environ.get("RFPSURVEY_TEST_DATA") and "RFPSURVEY_TEST_DATA" in script.read_text():
-        pytest.skip("the script needs RFPSURVEY_TEST_DATA")
-    command = [sys.executable, str(script), *given]
+def errors_of(script, folder):
+    """Return the errors of a script that ends early with an error."""
+    folder.mkdir()
+    command = [sys.executable, str(script), *SMALL.get(script.stem, [])]
     pipes = {"stdout": subprocess.DEVNULL, "stderr": subprocess.PIPE, "text": True}
-    with subprocess.Popen(command, cwd=tmp_path, start_new_session=True, **pipes) as process:
+    with subprocess.Popen(command, cwd=folder, start_new_session=True, **pipes) as process:
         try:
             _, errors = process.communicate(timeout=SECONDS)
         except subprocess.TimeoutExpired:
             os.killpg(process.pid, signal.SIGKILL)  # the script and its workers
-            return
+            return ""
     missing = re.search(r"ModuleNotFoundError: No module named '(\w+)'", errors)
     if missing and missing[1] not in {path.stem for path in ROOT.glob("tests/**/*.py")} | {"reproduction"}:
-        pytest.skip(f"{missing[1]} is not installed")
-    assert process.returncode == 0, errors[-2000:]
+        return ""  # a package that is not installed
+    return errors[-2000:] if process.returncode else ""
+
+
+@pytest.mark.exhaustive
+def test_scripts_start(tmp_path):
+    """Regression: seven scripts used former names of parameters or columns, or did not find the modules they import."""
+    compared = {name for name, *_ in quoted.SCRIPTS}
+    scripts = [path for path in SCRIPTS if path.stem not in compared and not lacks_data(path)]
+    with ThreadPoolExecutor(TOGETHER) as pool:
+        errors = pool.map(errors_of, scripts, [tmp_path / path.stem for path in scripts])
+        assert not {path.stem: text for path, text in zip(scripts, errors, strict=True) if text}
 
 
 def test_differences_of_quoted_numbers_are_found():
@@ -84,13 +95,11 @@ def test_pages_quote_the_numbers_that_scripts_print(command, tmp_path):
     """Regression: the collision probability of PFS as built on its page was 0.0901, but the script printed 0.0871."""
     name, *given = command
     script = ROOT / "tests" / "benchmarks" / f"{name}.py"
-    if not os.environ.get("RFPSURVEY_TEST_DATA") and "RFPSURVEY_TEST_DATA" in script.read_text():
+    if lacks_data(script):
         pytest.skip("the script needs RFPSURVEY_TEST_DATA")
     done = subprocess.run(
         [sys.executable, str(script), *given], cwd=tmp_path, capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr[-2000:]
-    pages = {one.page: (ROOT / "docs" / f"{one.page}.rst").read_text() for one in quoted.SCRIPTS[command]}
-    assert not [
-        found for one in quoted.SCRIPTS[command] for found in quoted.differences(done.stdout, pages[one.page], one)
-    ]
+    for one in quoted.SCRIPTS[command]:
+        assert not quoted.differences(done.stdout, (ROOT / "docs" / f"{one.page}.rst").read_text(), one)

@@ -1,16 +1,17 @@
 """Classes of settings: records, copies, equality, messages and help follow from the descriptions of their options."""
 
+import copy
 import json
 import math
 import pickle
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import NoneType
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import Table
+from astropy.table import QTable, Table
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -19,7 +20,7 @@ from rfpsurvey._settings import Checked, Settings, help_texts, option, options_o
 from rfpsurvey.inputs._keys import Key, keys_of
 from rfpsurvey.observing._sites import SITES
 
-MM, S, UM = u.mm, u.s, u.um
+MM, DEG, S, UM = u.mm, u.deg, u.s, u.um
 RULE = Table({"class": ["star", "any"], "last": ["bad", ""], "priority": [3.0, np.nan], "visits": [np.nan, 2]})
 
 
@@ -50,9 +51,7 @@ VALUES = {
         "start": choices("lamost_rule", "nearest"),
         "parked_obstacles": st.booleans() | choices(0, np.True_),
         "required": st.lists(st.integers(0, 2**60), max_size=3) | choices(["a", "b c"], "x", 7, None),
-        "keep_out": choices(
-            None, rs.Region.parse("cap 95.1 23 0.3"), [rs.Region.cap(SkyCoord(1, 2, unit="deg"), 1 * u.arcmin)]
-        ),
+        "keep_out": choices(None, rs.Region.parse("cap 95.1 23 0.3"), [rs.Region.parse("cap 1 2 0.01")]),
         "subpriority": st.integers(0, 2**62) | choices("SUBPRIORITY"),
         "constraints": st.lists(st.sampled_from(CONSTRAINTS), max_size=2),
         "rules": choices("dark_monit"),
@@ -154,9 +153,7 @@ def test_records_and_copies_are_equal_to_their_object(cls, data):
     record = json.loads(json.dumps(value.record))
     others = {name: getattr(value, name) for name in NEEDED.get(cls, ())}
     for same in (pickle.loads(pickle.dumps(value)), cls.from_record(record, **others)):
-        assert same == value
-        assert hash(same) == hash(value)
-        assert same.record == value.record
+        assert (same, hash(same), same.record) == (value, hash(value), value.record)
 
 
 def differ(value, other):
@@ -177,9 +174,11 @@ def test_objects_with_different_records_differ(cls, data):
         assert value != other
 
 
-def test_conditions_at_a_time_follow_from_their_record():
-    value = rs.ObservingConditions("paranal", time="2026-07-01T06:30:00")
-    assert rs.ObservingConditions.from_record(value.record) == value
+def test_conditions_at_every_site_and_at_a_time_follow_from_their_record():
+    for site in SITES:
+        for moment in ({"hour_angle": 30 * u.deg}, {"time": "2026-07-01T06:30:00"}):
+            value = rs.ObservingConditions(site, **moment)
+            assert rs.ObservingConditions.from_record(value.record) == value
 
 
 def test_records_that_do_not_determine_an_option_are_refused():
@@ -204,24 +203,16 @@ def test_records_that_do_not_determine_an_option_are_refused():
 
 def test_damaged_records_are_refused():
     rule, conditions = rs.survey.VisitRule, rs.ObservingConditions("paranal", hour_angle=0 * u.deg).record
+    without = [{k: v for k, v in conditions.items() if k != name} for name in ("humidity", "height_m")]
     for cls, record in (
         *((rule, {"table": rows}) for rows in ([["a", 1]], 3)),
         *((rs.AllocationOptions, one) for one in ({"required": 3}, {"keep_out": [3]}, {"allocator": ["a"]})),
-        *(
-            (rs.ObservingConditions, {k: v for k, v in conditions.items() if k != name})
-            for name in ("humidity", "height_m")
-        ),
+        *((rs.ObservingConditions, one) for one in without),
     ):
         with pytest.raises(rs.InputError):
             cls.from_record(record)
     empty = rule(table=Table({"class": np.array([], dtype=str), "visits": np.array([], dtype=int)}))
     assert rule.from_record(empty.record) == empty
-
-
-@pytest.mark.parametrize("site", SITES)
-def test_conditions_at_every_site_follow_from_their_record(site):
-    value = rs.ObservingConditions(site, hour_angle=30 * u.deg)
-    assert rs.ObservingConditions.from_record(value.record) == value
 
 
 def test_equal_values_in_other_units_are_equal():
@@ -265,8 +256,7 @@ WRONG = [
 
 @OPTIONS
 def test_wrong_values_are_refused_with_one_sentence(cls, one):
-    usual = {} if cls is not rs.ObservingConditions else {"site": "paranal", "hour_angle": 0 * u.deg}
-    n = 0
+    usual, n = {} if cls is not rs.ObservingConditions else {"site": "paranal", "hour_angle": 0 * u.deg}, 0
     for value in WRONG:
         try:
             cls(**{**usual, **({"hour_angle": None} if one.name == "time" else {}), one.name: value})
@@ -305,16 +295,59 @@ def test_limits_of_quantities_and_empty_text_are_refused(options, message):
 
 
 def test_quantities_can_equal_their_limits():
-    assert Tilt(90 * u.deg, 2 * u.mm).offset == 2 * u.mm
-    assert Tilt(0 * u.rad, -5 * u.m).angle == 0 * u.rad
+    assert (Tilt(90 * u.deg, 2 * u.mm).offset, Tilt(0 * u.rad, -5 * u.m).angle) == (2 * u.mm, 0 * u.rad)
 
 
 @OPTIONS
 def test_numbers_outside_the_limits_are_refused(cls, one):
     option, unit = one.option, one.units[0] if one.units else 1
     usual = {} if cls is not rs.ObservingConditions else {"site": "paranal", "hour_angle": 0 * u.deg}
-    outside = [option.above, option.below]
-    outside += [None if limit is None else limit + step for limit, step in ((option.low, -0.01), (option.high, 1.01))]
-    for limit in (limit for limit in outside if limit is not None):
+    limits = ((option.above, 0), (option.below, 0), (option.low, -0.01), (option.high, 1.01))
+    for limit in (limit + step for limit, step in limits if limit is not None):
         with pytest.raises(rs.InputError, match="must be"):
             cls(**{**usual, one.name: limit * unit})
+
+
+CENTERS = QTable({"ra": [1, 2] * DEG, "dec": [3, 4] * DEG})
+TRIANGLE = [[0, 0], [4, 0], [0, 1]]
+
+
+def arms(length, **others):
+    return rs.Positioner(length * MM, 8 * MM, 1 * MM, **others)
+
+
+def plane(ra, **others):
+    return rs.projection.TangentPlane(SkyCoord(ra, 23, unit=DEG, **others), 200 * MM / DEG)
+
+
+PAIRS = {
+    "Positioner": (arms(8), arms(9)),
+    "Positioner with arrays": (arms(8, home=[0, 180] * DEG), arms(8, home=[1, 180] * DEG)),
+    "ArmOutline": tuple(rs.positioner.ArmOutline([np.array(TRIANGLE) * k * MM]) for k in (1, 2)),
+    "circle": (rs.Region.parse("cap 1 2 3"), rs.Region.parse("cap 1 2 4")),
+    "box": (rs.Region.parse("box 0 10 0 10"), rs.Region.parse("box 0 10 0 11")),
+    "polygon": (rs.Region.parse("polygon 0 0 10 0 10 10"), rs.Region.parse("polygon 0 0 10 0 10 11")),
+    "pixels": (rs.Region.healpix([1, 2], 4), rs.Region.healpix([1, 2], 2)),
+    "KeepOut": (rs.KeepOut.parse("95 23 0.1"), rs.KeepOut.parse("95 23 0.2")),
+    "Required": (rs.Required([1, 2]), rs.Required([1, 3])),
+    "Requirement": (rs.Requirement.parse("sky=2"), rs.Requirement.parse("sky=3")),
+    "TangentPlane": (plane(95), plane(96)),
+    "TangentPlane of a frame": (plane(95, frame="fk5"), plane(95, frame="fk5", equinox="J2026")),
+    "RadialMap": tuple(rs.projection.RadialMap("theta", [k], max_angle=1 * DEG) for k in (1.0, 2.0)),
+    "Centers": (rs.tiling.Centers(CENTERS), rs.tiling.Centers(CENTERS[:1])),
+}
+
+
+@pytest.mark.parametrize("name", PAIRS)
+def test_settings_are_equal_to_their_copies(name):
+    """Regression: objects with arrays were compared by identity, so that equal options of two processes differed."""
+    value, other = PAIRS[name]
+    for same in (pickle.loads(pickle.dumps(value)), copy.deepcopy(value), replace(value)):
+        assert (same, hash(same)) == (value, hash(value))
+    assert value != other
+    assert value != "another type"
+
+
+def test_a_circle_is_equal_however_it_is_given():
+    parsed, made = rs.Region.parse("cap 95.5 23 0.1"), rs.Region.cap(SkyCoord(95.5, 23, unit=DEG), 0.1 * DEG)
+    assert (parsed, len({parsed, made})) == (made, 1)

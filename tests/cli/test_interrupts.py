@@ -32,8 +32,7 @@ def test_an_interrupted_survey_ends_with_a_message_and_can_be_resumed(name, run,
     assert (ended.code, ended.errors.splitlines()[-1]) == (130, KEPT)
     assert ended.seconds < 10
     monkeypatch.chdir(folder)
-    assert run(*words, "--resume")[0] == 0
-    assert interrupts.content(folder) == interrupts.content(whole)
+    assert (run(*words, "--resume")[0], interrupts.content(folder)) == (0, interrupts.content(whole))
 
 
 def test_an_interrupt_during_the_imports_has_a_message(tmp_path):
@@ -46,8 +45,7 @@ def test_an_interrupt_during_the_imports_has_a_message(tmp_path):
                 process.send_signal(signal.SIGINT)
                 break
         errors = process.stderr.read()
-    assert process.returncode == 130
-    assert errors.splitlines()[-1] == "rfpsurvey: interrupted"
+    assert (process.returncode, errors.splitlines()[-1]) == (130, "rfpsurvey: interrupted")
     assert "Traceback" not in errors
 
 
@@ -90,8 +88,7 @@ def test_the_second_interrupt_ends_the_process_and_removes_temporary_files(ends,
         with pytest.raises(Ended):
             signal.raise_signal(signal.SIGINT)
         assert not path.exists()
-    assert ends == [130]
-    assert capfd.readouterr().err == "rfpsurvey: interrupted; nothing was stored\n"
+    assert (ends, capfd.readouterr().err) == ([130], "rfpsurvey: interrupted; nothing was stored\n")
 
 
 def test_an_interrupt_that_python_ignores_ends_the_process(ends, monkeypatch, capfd):
@@ -169,6 +166,5 @@ def test_the_signal_handlers_of_a_command_are_removed_when_it_returns(words, mon
     monkeypatch.setattr(_process, "_prepare", lambda: (prepare(), seen.append(signal.getsignal(signal.SIGINT))))
     with pytest.raises(SystemExit):
         _process.main()
-    assert seen == [_process._interrupt]
-    assert [signal.getsignal(number) for number in numbers] == before
+    assert (seen, [signal.getsignal(number) for number in numbers]) == ([_process._interrupt], before)
     assert sys.unraisablehook is hook

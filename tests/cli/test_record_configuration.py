@@ -7,7 +7,6 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from refusals import sentence
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 
@@ -45,55 +44,53 @@ def failures(folder, catalog):
     return event.failed
 
 
-def test_fibers_that_are_not_on_target_failed(run, survey, configuration, tmp_path):
-    used = []
+RECORD = "record {} {} --tile"
 
+
+def test_fibers_that_are_not_on_target_failed(call, survey, configuration, tmp_path):
     def change(plan):
-        used.extend(np.flatnonzero(plan["assigned"])[:3].tolist())
-        plan["on_target"][used[:2]] = 0
+        plan["on_target"][np.flatnonzero(plan["assigned"])[:2]] = 0
 
     path = configuration(change=change)
-    code, out, err = run("record", tmp_path / "plan", path, "--tile", 0)
-    assert (code, err) == (0, "")
-    assert out.splitlines()[0].split() == ["new", "events", "1"]
-    names = rs.plans.read_plan(path)["positioner"]
+    called = call(f"{RECORD} 0", tmp_path / "plan", path)
+    assert (called.err, called.out.splitlines()[0].split()) == ("", ["new", "events", "1"])
     found = failures(tmp_path / "plan", survey[0])
-    assert set(found.values()) == {"not on target"}
-    assert len(found) == 2
-    assert set(found) <= set(names.tolist())
+    assert list(found.values()) == ["not on target"] * 2
+    assert set(found) <= set(rs.plans.read_plan(path)["positioner"].tolist())
 
 
-def test_fibers_with_another_target_or_without_a_target_failed(run, survey, configuration, tmp_path):
+def test_fibers_with_another_target_or_without_a_target_failed(call, survey, configuration, tmp_path):
     def change(plan):
         first, second = np.flatnonzero(plan["assigned"])[:2]
         plan["target_id"][first] = 7
         plan["assigned"][second] = False
 
-    assert run("record", tmp_path / "plan", configuration(change=change), "--tile", 0)[0] == 0
+    call(f"{RECORD} 0", tmp_path / "plan", configuration(change=change))
     found = failures(tmp_path / "plan", survey[0])
     assert sorted(found.values()) == ["another target in the file", "no target in the file"]
 
 
-def test_the_date_is_that_of_the_configuration(run, survey, configuration, tmp_path):
-    run("record", tmp_path / "plan", configuration(), "--tile", 0)
+def test_the_date_is_that_of_the_configuration(call, survey, configuration, tmp_path):
+    call(f"{RECORD} 0", tmp_path / "plan", configuration())
     (event,) = rs.survey.SurveyState.read(tmp_path / "plan", survey[0]).attempts
     assert (event.date, event.failed) == ("2026-01-03", {})
 
 
-def test_the_tile_must_be_given_and_fit(run, survey, configuration, tmp_path):
+def test_the_tile_must_be_given_and_fit(refused, survey, configuration, tmp_path):
     path = configuration()
-    message = "the tile of the survey that it observed, got none"
-    assert message in sentence(*run("record", tmp_path / "plan", path)[::2])
-    message = "must be the file of tile 1, got a file in which no fiber has its target of the survey"
-    assert message in sentence(*run("record", tmp_path / "plan", path, "--tile", 1)[::2])
-    assert "the survey has no tile 7" in sentence(*run("record", tmp_path / "plan", path, "--tile", 7)[::2])
+    for words, message in (
+        ("record {} {}", "the tile of the survey that it observed, got none"),
+        (f"{RECORD} 1", "must be the file of tile 1, got a file in which no fiber has its target of the survey"),
+        (f"{RECORD} 7", "the survey has no tile 7"),
+    ):
+        assert message in refused(words, tmp_path / "plan", path)
     assert not (tmp_path / "plan" / "events").exists()
 
 
 @pytest.mark.parametrize(
     ("name", "n_good"), [("sdssv_apo_2024/confSummary-test.par.gz", 480), ("sdssv_apo_2021/confSummaryF-998.par.gz", 0)]
 )
-def test_a_real_configuration_is_recorded(run, real_data, tmp_path, name, n_good):
+def test_a_real_configuration_is_recorded(call, real_data, tmp_path, name, n_good):
     """Of the configuration of 2021, no fiber is marked as on target, which is a warning."""
     path = real_data(name)
     plan = rs.plans.read_plan(path)
@@ -102,15 +99,12 @@ def test_a_real_configuration_is_recorded(run, real_data, tmp_path, name, n_good
     tiles = QTable({"tile": [17], "ra": [plan.meta["racen"]] * u.deg, "dec": [plan.meta["deccen"]] * u.deg})
     tiles["position_angle"] = [plan.meta["position_angle"]] * u.deg
     survey = rs.plan_survey(catalog, "sdss_apo", tiles, allocator="nearest", folder=tmp_path / "plan")
-    code, _, err = run("record", tmp_path / "plan", path, "--tile", 17)
-    assert code == 0, err
+    err = call(f"{RECORD} 17", tmp_path / "plan", path).err
     assert ("was on target; therefore, all visits of tile 17 are recorded as failed" in err) == (n_good == 0)
-    row_of = dict(zip(used["positioner"].tolist(), range(len(used)), strict=True))
-    good = 0
+    row_of, good = dict(zip(used["positioner"].tolist(), range(len(used)), strict=True)), 0
     for visit in survey.tile(17):
         row = row_of.get(str(visit["positioner"]), -1)
         same = row >= 0 and used["target_id"][row] == visit["target_id"]
         good += bool(same and used["on_target"][row] == 1 and visit["observed"])
-    state = rs.survey.SurveyState.read(tmp_path / "plan", catalog)
-    assert int(state.observed.sum()) == good
+    assert int(rs.survey.SurveyState.read(tmp_path / "plan", catalog).observed.sum()) == good
     assert (good > 0) == (n_good > 0)

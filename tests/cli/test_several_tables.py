@@ -24,73 +24,59 @@ def path(tmp_path_factory):
     return path
 
 
+MOONS = "--instrument moons"
+SEVERAL = "the file has 3 tables, and only the first one was read: 1 (EXPOSURES), 2 (TARGETS), 3 (TILES)"
+
+
+@pytest.fixture
+def errors_of(run):
+    """Return a function that runs a command that is refused, and returns its errors, which contain a warning."""
+
+    def errors_of(words, path):
+        code, _, err = run(*(path if word == "{}" else word for word in words.split()))
+        assert code == 2
+        return err
+
+    return errors_of
+
+
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
     "words",
     [
-        ("plan", "{path}", "--instrument", "moons"),
-        ("compare", "moons", "--catalog", "{path}", "--allocator", "nearest"),
-        ("compare-allocators", "{path}", "--instrument", "moons", "--allocator", "nearest"),
-        ("survey", "{path}", "--instrument", "moons", "--tiles", "{path}", "--set", "tiles.hdu=TILES"),
-        (
-            "select",
-            "{path}",
-            "--instrument",
-            "moons",
-            "--n-realizations",
-            "2",
-            "--tiles",
-            "{path}",
-            "--set",
-            "tiles.hdu=3",
-        ),
-        (
-            "tile",
-            "{path}",
-            "--instrument",
-            "moons",
-            "--method",
-            "given",
-            "--centers",
-            "{path}",
-            "--set",
-            "tiles.hdu=tiles",
-        ),
-        ("probability", "moons", "--precision", "0.1", "--targets", "{path}"),
+        f"plan {{}} {MOONS}",
+        "compare moons --catalog {} --allocator nearest",
+        f"compare-allocators {{}} {MOONS} --allocator nearest",
+        f"survey {{}} {MOONS} --tiles {{}} --set tiles.hdu=TILES",
+        f"select {{}} {MOONS} --n-realizations 2 --tiles {{}} --set tiles.hdu=3",
+        f"tile {{}} {MOONS} --method given --centers {{}} --set tiles.hdu=tiles",
+        "probability moons --precision 0.1 --targets {}",
     ],
 )
-def test_the_option_hdu_selects_a_table_of_targets(run, path, words):
+def test_the_option_hdu_selects_a_table_of_targets(call, errors_of, path, words):
     """Only the first table of a FITS file could be read."""
-    words = [word.format(path=path) for word in words]
-    code, _, err = run(*words)
-    assert code == 2
-    assert (
-        f"{path}: the file has 3 tables, and only the first one was read: 1 (EXPOSURES), 2 (TARGETS), 3 (TILES)" in err
-    )
-    assert "to read another table, give hdu= or --set catalog.hdu=NAME" in err
+    paths = [path] * words.count("{}")
+    message = errors_of(words, path)
+    assert f"{path}: {SEVERAL}" in message
+    assert "to read another table, give hdu= or --set catalog.hdu=NAME" in message
     for hdu in ("2", "targets"):
-        code, out, err = run(*words, "--set", f"catalog.hdu={hdu}")
-        assert code == 0, err
+        out, err = call(f"{words} --set catalog.hdu={hdu}", *paths)
         assert "columns: priority: none, visits: none, id: id, ra: ra, dec: dec\n" in out
         assert "the file has 3 tables" not in err
 
 
-def test_the_option_hdu_selects_the_table_of_an_assignment(run, path, tmp_path):
+def test_the_option_hdu_selects_the_table_of_an_assignment(call, errors_of, path, tmp_path):
     target = rs.plan_tile(rs.Catalog.read(path, hdu=2), "moons").table
     table = target[target["status"] == "assigned"]["id", "tip_x", "tip_y"]
-    table.meta = {}
+    table.meta, plan = {}, tmp_path / "plan.fits"
     with fits.open(path) as hdus:
         hdus.append(fits.table_to_hdu(table))
-        hdus.writeto(tmp_path / "plan.fits")
-    code, _, err = run("score", tmp_path / "plan.fits", "--instrument", "moons")
-    assert (code, "give --set catalog.hdu=NAME" in err) == (2, True)
-    code, out, _ = run("score", tmp_path / "plan.fits", "--instrument", "moons", "--set", "catalog.hdu=4")
-    assert code == 0
-    assert str(len(table)) in next(line for line in out.splitlines() if line.startswith("  assigned")).split()
+        hdus.writeto(plan)
+    assert "give --set catalog.hdu=NAME" in errors_of(f"score {{}} {MOONS}", plan)
+    assert str(len(table)) in call(f"score {{}} {MOONS} --set catalog.hdu=4", plan).lines["assigned"]
 
 
-@pytest.mark.parametrize("file", ["{folder}", "example:anticenter"])
-def test_the_option_hdu_is_only_for_fits_files(run, tmp_path, file):
-    code, _, err = run("plan", file.format(folder=tmp_path), "--set", "catalog.hdu=1")
-    assert code == 2
-    assert "hdu must be used only with FITS files, got" in err
+@pytest.mark.parametrize("file", ["{}", "example:anticenter"])
+def test_the_option_hdu_is_only_for_fits_files(refused, tmp_path, file):
+    message = refused(f"plan {file} --set catalog.hdu=1", *[tmp_path] * file.count("{}"))
+    assert "hdu must be used only with FITS files, got" in message

@@ -1,4 +1,4 @@
-"""The list of commands and the version are printed without importing astropy, numba or numpy."""
+"""The start of commands: nothing large is imported for lists and versions, and a message explains compilation."""
 
 import gc
 import inspect
@@ -6,10 +6,13 @@ import subprocess
 import sys
 from importlib import import_module
 
+import numba
 import pytest
 import typer
+from numba.core import event
 
 import rfpsurvey as rs
+from rfpsurvey._cli import _compiling
 from rfpsurvey._cli._main import COMMANDS
 
 PROGRAM = """
@@ -57,10 +60,27 @@ def test_every_command_has_its_help(run):
     assert "No such command 'nonsense'" in err
 
 
-def test_every_public_name_is_found():
-    names = {}
-    exec("from rfpsurvey import *", names)
-    assert set(rs.__all__) <= set(names)
-    assert set(rs.__all__) <= set(dir(rs))
-    with pytest.raises(AttributeError, match="nothing"):
-        rs.nothing  # noqa: B018
+register = event.register
+
+
+@pytest.fixture
+def registered(monkeypatch):
+    """Return the listeners that the command registers, and check that none remains after the test."""
+    found = []
+    monkeypatch.setattr(_compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
+    yield found
+    for one in found:
+        event.unregister("numba:compile", one)
+
+
+@pytest.mark.parametrize("watched", [True, False])
+def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, registered, watched):
+    monkeypatch.setattr(_compiling.sys.stderr, "isatty", lambda: watched, raising=False)
+    _compiling.announce_compilation()
+    assert len(registered) == int(watched)
+    monkeypatch.setattr(_compiling.event, "register", register)  # numba registers further listeners
+    if numba.config.DISABLE_JIT:
+        pytest.skip("nothing is compiled")
+    for _ in range(2):
+        assert numba.njit(lambda x: x + 1)(1) == 2
+    assert capsys.readouterr().err.count("compiling") == int(watched)

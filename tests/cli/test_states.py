@@ -1,14 +1,15 @@
-"""The options --broken, --state-time and --arm-model, and instruments with states in TOML files."""
+"""The keys of states, arm models and margins of positioners, and instruments with states in TOML files."""
 
 import astropy.units as u
 import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from refusals import sentence
 from rfpsurvey._cli._main import COMMANDS
 
 PRINTED = "States of positioners from broken.csv"
+APO, BROKEN, TIME = "--instrument sdss_apo", "--set instrument.broken={}", "--set instrument.state_time="
+NIGHT = "--set 'conditions.site=apache point' --set conditions."
 TOML = """name = "worn"
 inherits = "sdss_apo"
 status = "assumed"
@@ -49,22 +50,15 @@ def tiles(tmp_path):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("command", "options"),
+    "words",
     [
-        ("plan", []),
-        ("compare-allocators", ["--allocator", "nearest"]),
-        ("probability", ["--max-iterations", "200"]),
-        ("tile", ["--region", "cap 95 23 1"]),
-        ("survey", []),
-        ("select", ["--n-realizations", "1"]),
-        ("compare", ["--allocator", "lamost_rule", "--n-realizations", "1"]),
-        ("instruments", []),
+        *(f"plan {APO}", f"survey {APO}", f"select {APO} --n-realizations 1", f"tile {APO} --region 'cap 95 23 1'"),
+        *(f"compare-allocators {APO} --allocator nearest", "probability sdss_apo --max-iterations 200"),
+        *("compare sdss_apo --allocator lamost_rule --n-realizations 1", "instruments sdss_apo"),
     ],
 )
-def test_commands_read_tables_of_states(run, always, command, options):
-    named = ["sdss_apo"] if command in ("probability", "compare", "instruments") else ["--instrument", "sdss_apo"]
-    code, out, _ = run(command, *named, *options, "--set", f"instrument.broken={always}")
-    assert code == 0
+def test_commands_read_tables_of_states(call, always, words):
+    out = call(f"{words} {BROKEN}", always).out
     assert out.startswith("States of positioners from always.csv: 2 broken, 0 stuck.\n")
 
 
@@ -80,197 +74,196 @@ def test_every_command_with_an_instrument_has_the_keys(run):
         assert "--arm-model" in text
 
 
-def test_the_tile_records_the_states(run, broken, tmp_path):
+def test_the_tile_records_the_states(call, refused, broken, tmp_path):
     output = tmp_path / "tile.fits"
-    call = ("plan", "--instrument", "sdss_apo", "--set", f"instrument.broken={broken}", "--output", output)
-    assert "the time of the observation must be given" in sentence(*run(*call)[::2])
-    code, out, _ = run(*call, "--set", "instrument.state_time=2026-02-01")
-    assert code == 0
+    words = (f"plan {APO} {BROKEN} --output {{}}", broken, output)
+    assert "the time of the observation must be given" in refused(*words)
+    out = call(f"{words[0]} {TIME}2026-02-01", *words[1:]).out
     assert out.startswith(f"{PRINTED} at 2026-02-01T00:00:00 (UTC): 1 broken, 1 stuck.\n")
     tile = rs.Tile.read(output)
     values = tile.provenance["instrument"]["values"]
     assert [values[f"states.{name}"] for name in ("file", "broken", "stuck", "unused_rows")] == ["broken.csv", 1, 1, 0]
     status = dict(zip(tile.table["id"].tolist(), tile.table["status"].tolist(), strict=True))
     assert (status["R+3C5"], status["R0C2"]) == ("disabled", "stuck")
-    code, out, _ = run(
-        "score", output, "--set", f"instrument.broken={broken}", "--set", "instrument.state_time=2026-05-01"
-    )
-    text = " ".join(out.split())
+    text = call(f"score {{}} {BROKEN} {TIME}2026-05-01", output, broken).text
     assert text.startswith(f"{PRINTED} at 2026-05-01T00:00:00 (UTC): 1 broken, 0 stuck. Rows that do not apply at this")
 
 
 @pytest.mark.parametrize(
     ("options", "stuck"),
     [
-        (["--epoch", "2026.1"], 1),
-        (["--epoch", "2026-03-01"], 0),
-        (
-            [
-                "--set",
-                "conditions.site=apache point",
-                "--set",
-                "conditions.time=2026-02-01T04:00:00",
-                "--epoch",
-                "2027",
-            ],
-            1,
-        ),
-        (
-            [
-                "--set",
-                "conditions.site=apache point",
-                "--set",
-                "conditions.time=2026-02-01T04:00:00",
-                "--set",
-                "instrument.state_time=2027-01-01",
-            ],
-            0,
-        ),
-        (["--set", "conditions.site=apache point", "--set", "conditions.hour_angle=1", "--epoch", "2026-02-01"], 1),
+        ("--epoch 2026.1", 1),
+        ("--epoch 2026-03-01", 0),
+        (f"{NIGHT}time=2026-02-01T04:00:00 --epoch 2027", 1),
+        (f"{NIGHT}time=2026-02-01T04:00:00 {TIME}2027-01-01", 0),
+        (f"{NIGHT}hour_angle=1 --epoch 2026-02-01", 1),
     ],
 )
-def test_the_time_comes_from_the_options(run, broken, options, stuck):
-    code, out, _ = run("plan", "--instrument", "sdss_apo", "--set", f"instrument.broken={broken}", *options)
-    assert code == 0
-    assert f"1 broken, {stuck} stuck." in out.splitlines()[0]
+def test_the_time_comes_from_the_options(call, broken, options, stuck):
+    assert f"1 broken, {stuck} stuck." in call(f"plan {APO} {BROKEN} {options}", broken).out.splitlines()[0]
 
 
-def test_an_hour_angle_is_no_time(run, broken):
-    call = (
-        "plan",
-        "--instrument",
-        "sdss_apo",
-        "--set",
-        f"instrument.broken={broken}",
-        "--set",
-        "conditions.site=apache point",
-        "--set",
-        "conditions.hour_angle=1",
-    )
-    assert "--set instrument.state_time=DATE" in sentence(*run(*call)[::2])
+def test_an_hour_angle_is_no_time(refused, broken):
+    assert "--set instrument.state_time=DATE" in refused(f"plan {APO} {BROKEN} {NIGHT}hour_angle=1", broken)
 
 
-def test_a_scored_tile_has_the_time_of_its_conditions(run, broken, tmp_path):
-    output, seen = (
-        tmp_path / "tile.fits",
-        ["--set", "conditions.site=apache point", "--set", "conditions.time=2026-02-01T04:00:00"],
-    )
-    assert run("plan", "--instrument", "sdss_apo", "--output", output, *seen)[0] == 0
-    code, out, _ = run("score", output, "--set", f"instrument.broken={broken}")
-    assert code == 0
+def test_a_scored_tile_has_the_time_of_its_conditions(call, broken, tmp_path):
+    output = tmp_path / "tile.fits"
+    call(f"plan {APO} {NIGHT}time=2026-02-01T04:00:00 --output", output)
+    out = call(f"score {{}} {BROKEN}", output, broken).out
     assert out.startswith(f"{PRINTED} at 2026-02-01T04:00:00 (UTC): 1 broken, 1 stuck.\n")
 
 
-def test_the_states_of_a_survey_must_be_the_same_at_all_times(run, broken, tiles):
-    call = [
-        "survey",
-        "--instrument",
-        "sdss_apo",
-        "--set",
-        "conditions.site=apache point",
-        "--set",
-        f"instrument.broken={broken}",
-        "--tiles",
-    ]
-    code, out, _ = run(*call, tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00"))
-    assert code == 0
-    text = " ".join(out.split())
+def test_the_states_of_a_survey_must_be_the_same_at_all_times(call, refused, broken, tiles):
+    words = f"survey {APO} {BROKEN} --tiles {{}}"
+    site = f"{words} --set 'conditions.site=apache point'"
+    text = call(site, broken, tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00")).text
     assert text.startswith(f"{PRINTED} at 2026-01-15T06:00:00 to 2026-02-15T04:00:00 (UTC): 1 broken, 1 stuck.")
     path = tiles("2026-01-15T06:00:00", "2026-03-03T03:00:00")
-    text = sentence(*run(*call, path)[::2])
+    text = refused(site, broken, path)
     assert "(2026-01-15T06:00:00 to 2026-03-03T03:00:00), but the state of R0C2 changes" in text
-    assert "1 broken, 0 stuck" in run(*call, path, "--set", "instrument.state_time=2026-03-01")[1]
-    assert "--set instrument.state_time=DATE" in sentence(
-        *run(*call[:3], *call[5:], path)[::2]
-    )  # without conditions, times are not used
+    assert "1 broken, 0 stuck" in call(f"{site} {TIME}2026-03-01", broken, path).out
+    # without conditions, times are not used
+    assert "--set instrument.state_time=DATE" in refused(words, broken, path)
 
 
-def test_a_survey_is_not_resumed_with_other_states(run, broken, always, tmp_path):
-    folder = tmp_path / "plan"
-    call = [
-        "survey",
-        "--instrument",
-        "sdss_apo",
-        "--folder",
-        folder,
-        "--set",
-        "instrument.state_time=2026-02-01",
-    ]
-    first, other = (["--set", f"instrument.broken={path}"] for path in (broken, always))
-    assert run(*call, *first)[0] == 0
+def test_a_survey_is_not_resumed_with_other_states(call, refused, broken, always, tmp_path):
+    folder, words = tmp_path / "plan", f"survey {APO} {TIME}2026-02-01 --folder {{}}"
+    call(f"{words} {BROKEN}", folder, broken)
     assert rs.Survey.read(folder).provenance["instrument"]["values"]["states.stuck"] == 1
-    assert "instrument differs" in sentence(*run(*call, *other, "--resume")[::2])
-    assert "instrument differs" in sentence(*run(*call, "--resume")[::2])
+    assert "instrument differs" in refused(f"{words} {BROKEN} --resume", folder, always)
+    assert "instrument differs" in refused(f"{words} --resume", folder)
     more = broken.read_text() + "R0C3,broken,2030-01-01,,,\n"  # the states of February do not change
     broken.write_text(more)
-    assert "instrument differs" in sentence(*run(*call, *first, "--resume")[::2])
+    assert "instrument differs" in refused(f"{words} {BROKEN} --resume", folder, broken)
 
 
-def test_a_toml_file_with_states_is_an_instrument(run, broken, tmp_path):
+def test_a_toml_file_with_states_is_an_instrument(call, refused, broken, tmp_path):
     path = tmp_path / "worn.toml"
     path.write_text(TOML)
-    assert "worn.toml: " in sentence(*run("plan", "--instrument", path)[::2])
-    assert "1 broken, 1 stuck" in run("plan", "--instrument", path, "--epoch", "2026.1")[1]
-    code, out, _ = run("instruments", path, "--set", "instrument.state_time=2026-04-01")
-    assert code == 0
+    assert "worn.toml: " in refused("plan --instrument", path)
+    assert "1 broken, 1 stuck" in call("plan --epoch 2026.1 --instrument", path).out
+    out = call(f"instruments {{}} {TIME}2026-04-01", path).out
     assert "states.broken = 1\n    assumed: log" in out
     assert "usable positioners    499" in out
-    code, out, _ = run(
-        "compare",
-        path,
-        "sdss_apo",
-        "--set",
-        "instrument.state_time=2026-02-01",
-        "--allocator",
-        "lamost_rule",
-        "--n-realizations",
-        "1",
-    )
-    assert code == 0
-    assert [line.split()[1] for line in out.splitlines() if line.split()[:1] in (["worn"], ["sdss_apo"])][:2] == [
-        "498",
-        "500",
-    ]
-    code, _, err = run("benchmark", "batches", "--instrument", path, "--repeats", "1")
-    assert "--set instrument.state_time=DATE" in sentence(code, err)
-    assert "--set instrument.state_time=DATE" in sentence(*run("design", "--instrument", path)[::2])
+    out = call(f"compare {{}} sdss_apo {TIME}2026-02-01 --allocator lamost_rule --n-realizations 1", path).out
+    rows = [line.split()[:2] for line in out.splitlines()]
+    assert [row for row in rows if row[:1] in (["worn"], ["sdss_apo"])][:2] == [["worn", "498"], ["sdss_apo", "500"]]
+    for words in ("benchmark batches --repeats 1 --instrument", "design --instrument"):
+        assert "--set instrument.state_time=DATE" in refused(words, path)
 
 
-def test_wrong_options_are_refused(run, always, tmp_path):
-    text = sentence(*run("plan", "--set", f"instrument.broken={always}")[::2])
-    assert "always.csv: id must be identifiers of positioners of lamost, such as 0, 1, 2, got 'R+3C5', 'R0C2'" in text
-    assert "there is no such file" in sentence(*run("plan", "--set", f"instrument.broken={tmp_path / 'no.csv'}")[::2])
-    assert "instrument.state_time must be" in sentence(*run("plan", "--set", "instrument.state_time=soon")[::2])
-    assert "instrument.broken must be used with one instrument" in sentence(
-        *run("compare", "--set", f"instrument.broken={always}")[::2]
-    )
-    assert "--broken must be used with the name" in sentence(
-        *run("instruments", "--set", f"instrument.broken={always}")[::2]
-    )
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (
+            f"plan {BROKEN}",
+            "always.csv: id must be identifiers of positioners of lamost, such as 0, 1, 2, got 'R+3C5', 'R0C2'",
+        ),
+        ("plan --set instrument.broken={}.csv", "there is no such file"),
+        ("plan --set instrument.state_time=soon", "instrument.state_time must be"),
+        (f"compare {BROKEN}", "instrument.broken must be used with one instrument"),
+        (f"instruments {BROKEN}", "--broken must be used with the name"),
+    ],
+)
+def test_wrong_options_are_refused(refused, always, words, message):
+    assert message in refused(words, *[always] * words.count("{}"))
 
 
 @pytest.mark.exhaustive
-def test_instruments_are_compared_with_another_arm_model(run, tmp_path):
-    output = tmp_path / "table.ecsv"
-    call = [
-        "compare",
-        "sdss_lco",
-        "sdss_apo",
-        "--set",
-        "instrument.arm_model=fiber_tip",
-        "--allocator",
-        "lamost_rule",
-        "--n-realizations",
-        "1",
-    ]
-    assert run(*call, "--output", output)[0] == 0
+def test_instruments_are_compared_with_another_arm_model(call, refused, tmp_path):
+    output, model = tmp_path / "table.ecsv", "sdss_apo --set instrument.arm_model="
+    call(f"compare {model}fiber_tip sdss_lco --allocator lamost_rule --n-realizations 1 --output", output)
     meta = QTable.read(output).meta["instruments"]
     assert [meta[name]["arm_model"] for name in ("sdss_lco", "sdss_apo")] == ["fiber_tip", "fiber_tip"]
-    assert (
-        "instrument.arm_model must be one of capsule, elbow_to_tip, fiber_tip for sdss_apo, got 'outline'"
-        in sentence(*run("compare", "sdss_apo", "--set", "instrument.arm_model=outline")[::2])
+    message = "instrument.arm_model must be one of capsule, elbow_to_tip, fiber_tip for sdss_apo, got 'outline'"
+    assert message in refused(f"compare {model}outline")
+    assert "positioner.arm_model = elbow_to_tip" in call(f"instruments {model}elbow_to_tip").out
+
+
+PLAN = "plan {} --instrument desi --allocator nearest"
+
+
+@pytest.fixture
+def sky(tmp_path):
+    """Return the path of a small catalog."""
+    path = tmp_path / "sky.ecsv"
+    path.write_text(
+        "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: ra, unit: deg, datatype: float64}\n"
+        "# - {name: dec, unit: deg, datatype: float64}\n# schema: astropy-2.0\nra dec\n"
+        + "".join(f"{95 + 0.01 * i} {23 + 0.01 * j}\n" for i in range(-20, 21) for j in range(-20, 21))
     )
-    assert (
-        "positioner.arm_model = elbow_to_tip"
-        in run("instruments", "sdss_apo", "--set", "instrument.arm_model=elbow_to_tip")[1]
-    )
+    return path
+
+
+@pytest.mark.few(2)
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("off", None),
+        ("instrument", {"outer_mm": 0.2, "inner_mm": 0.1, "arms_mm": 0.05}),
+        ("instrument, broken=0.3, arms=0", {"outer_mm": 0.2, "inner_mm": 0.1, "broken_mm": 0.3}),
+        ("outer=0.4,hidden_factor=1.5", {"outer_mm": 0.4, "hidden_factor": 1.5}),
+    ],
+)
+def test_forms_of_the_option(call, sky, tmp_path, text, expected):
+    path = tmp_path / "tile.fits"
+    out, err = call(f"{PLAN} --output {{}} --set", sky, path, f"instrument.margins={text}")
+    assert (err, rs.Tile.read(path).provenance["instrument"].get("margins")) == ("", expected)
+    assert ("    margins" in out) == (expected is not None)
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (f"{PLAN} --set instrument.margins=outer=nan", "the margin outer must be one finite value of at least 0 mm"),
+        (f"{PLAN} --set instrument.margins=inner=6.5", "the margins outer and inner must leave a part of the patrol"),
+        ("plan {} --set instrument.margins=instrument", "margins must give values, such as outer=0.1"),
+    ],
+)
+def test_invalid_margins(refused, sky, words, message):
+    assert message in refused(words, sky)
+
+
+def test_all_commands_that_plan_use_the_margins(call, sky, tmp_path):
+    tiles, folder, tile, selection = (tmp_path / name for name in ("tiles.ecsv", "survey", "tile.fits", "p.fits"))
+    common, expected = "--instrument desi --set instrument.margins=outer=0.7", {"outer_mm": 0.7}
+    called = call(f"tile {{}} {common} --method max_density --n-tiles 1 --output {{}}", sky, tiles)
+    assert called.err == ""
+    assert "outer 0.7 mm" in called.out
+    assert "outer 0.7 mm" in call(f"survey {{}} --tiles {{}} {common} --folder {{}}", sky, tiles, folder).out
+    assert rs.Survey.read(folder).provenance["instrument"]["margins"] == expected
+    call(f"select {{}} --tiles {{}} {common} --n-realizations 2 --output {{}}", sky, tiles, selection)
+    assert rs.SelectionProbabilities.read(selection).provenance["instrument"]["margins"] == expected
+    assert "margins: outer 0.7 mm" in call(f"compare-allocators {{}} {common} --allocator nearest", sky).out
+    call(f"{PLAN} --output {{}}", sky, tile)
+    called = call("score {} --set instrument.margins=outer=0.7", tile)
+    assert called.err == ""
+    assert int(next(line for line in called.out.splitlines() if "within the margins" in line).split()[-1]) > 10
+
+
+@pytest.mark.exhaustive
+def test_a_comparison_of_instruments_with_margins(call):
+    options = "--targets-per-positioner 0.2 --n-realizations 1 --allocator nearest"
+    out, err = call(f"compare moons pfs --set instrument.margins=outer=0.3 {options}")
+    assert err == ""
+    assert "margins of pfs: outer_mm 0.3\n" in out
+
+
+def test_tiles_without_positioners_have_no_margins(refused, sky):
+    for options in ("--region 'cap 95 23 5'", "{} --set fibers=100", "{} --set radius=1"):
+        words = f"tile {options} --instrument desi --set instrument.margins=outer=0.7"
+        message = "margins must be given only if positioners observe the targets of a catalog"
+        assert message in refused(words, *[sky] * options.count("{}"))
+
+
+def test_probabilities_with_margins(call, refused):
+    """The margins change the probability and are stated; a formula without these margins refuses them."""
+    values, words = [], "probability desi --set instrument.arm_model=elbow_to_tip --method "
+    for extra in ("", " --set instrument.margins=outer=1.5"):
+        out, err = call(f"{words} close_pair {extra}")
+        assert err == ""
+        assert ("margins: outer 1.5 mm" in out) == bool(extra)
+        values.append(float(out.split("collision probability")[1].split()[0]))
+    assert values[0] != values[1]
+    assert "the margins outer must be 0 for the method 'closed_form'" in refused(f"{words} closed_form {extra}")

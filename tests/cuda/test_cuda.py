@@ -24,8 +24,7 @@ if not numba_cuda.is_available():
 @pytest.fixture(autouse=True)
 def _several_blocks(monkeypatch):
     """Use blocks that are smaller than a scene, and chunks that are smaller than a batch."""
-    gpu = importlib.import_module("rfpsurvey._kernels.gpu")
-    monkeypatch.setattr(gpu, "THREADS", 16)
+    monkeypatch.setattr(importlib.import_module("rfpsurvey._kernels.gpu"), "THREADS", 16)
     monkeypatch.setitem(METHODS, "cuda", replace(METHODS["cuda"], chunk=2))
 
 

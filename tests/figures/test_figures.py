@@ -11,9 +11,10 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from astropy.table import MaskedColumn, QTable
+from astropy.table import QTable
 from matplotlib.figure import Figure
 from statuses import status_table
+from text_tables import text_table
 
 import flat
 import rfpsurvey as rs
@@ -35,9 +36,7 @@ def tile(instrument, **options):
 @pytest.fixture(scope="module")
 def worn():
     """Return an instrument with some disabled and stuck positioners."""
-    apo = rs.Instrument.preset("sdss_apo")
-    rng = np.random.default_rng(2)
-    stuck = np.full((500, 2), np.nan)
+    apo, rng, stuck = rs.Instrument.preset("sdss_apo"), np.random.default_rng(2), np.full((500, 2), np.nan)
     stuck[rng.choice(500, 30, replace=False)] = 50, 100
     plane = replace(apo.focal_plane, stuck=stuck * u.deg, disabled=rng.random(500) < 0.05)
     return replace(apo, focal_plane=plane)
@@ -73,8 +72,7 @@ def test_focal_plane_as_dots_at_a_position_angle():
 
 @kept
 def test_part_of_a_worn_focal_plane(worn):
-    region = [[-90, -90], [90, 90]] * u.mm
-    return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=region).figure
+    return rs.plot.plot_focal_plane(tile(worn), ax=axes(), region=[[-90, -90], [90, 90]] * u.mm).figure
 
 
 @pytest.fixture(scope="module")
@@ -82,14 +80,9 @@ def classes():
     """Return a tile with sky fibers, standard stars, categories and priorities."""
     rng, n = np.random.default_rng(4), 900
     coord = rs.synthetic_catalog("uniform", CENTER, 1.5 * u.deg, n_targets=n, rng=1).coord
-    kind = rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1])
-    sky = rs.Catalog(
-        coord,
-        kind=kind,
-        category=rng.choice(["qso", "lrg"], n),
-        priority=rng.integers(1, 4, n),
-        extra={"g": rng.normal(18, 1, n) * u.mag},
-    )
+    columns = {"kind": rng.choice(["science", "standard", "sky"], n, p=[0.8, 0.1, 0.1])}
+    columns |= {"category": rng.choice(["qso", "lrg"], n), "priority": rng.integers(1, 4, n)}
+    sky = rs.Catalog(coord, **columns, extra={"g": rng.normal(18, 1, n) * u.mag})
     asked = rs.AllocationOptions("lamost_rule", requirements=["sky=30", "standard=20"])
     return rs.plan_tile(sky, "sdss_apo", CENTER, allocator=asked)
 
@@ -155,16 +148,9 @@ def test_residuals():
 
 @kept
 def test_allocators():
-    table = QTable(
-        {
-            "allocator": ["balanced", "network_flow", "optimal"],
-            "science": [820, 900, 860],
-            "usable": [640, 655, 860],
-            "missing": [12, 0, 0],
-            "seconds": [0.0012, 0.21, 14] * u.s,
-        },
-        meta={"blind_science": 905, "instrument": "mine"},
-    )
+    text = "allocator science usable missing seconds\nbalanced 820 640 12 0.0012\nnetwork_flow 900 655 0 0.21\n"
+    text += "optimal 860 860 0 14"
+    table = text_table(text, {"blind_science": 905, "instrument": "mine"}, seconds=u.s)
     return rs.plot.plot_allocators(table, ax=axes(7, 5)).figure
 
 
@@ -194,37 +180,33 @@ def test_completeness(survey):
     return rs.plot.plot_completeness(survey, ax=axes(6, 5)).figure
 
 
+SPEED = """
+method n_points time n_colliding_true misclassified max_error
+exact "" 0.04 1100 0 1e-15
+sampled 5 0.03 1100 0.02 1.2
+sampled 65 0.8 1100 0 0.07
+sweep 9 13 1100 1.7 4.2
+"""
+ACCURACY = """
+method estimand effort time error error_error truth_error
+closed_form independent 0 1 0.3 0 0.0005
+conditional allocated 4 9 0.02 0.002 0.0005
+conditional allocated 64 120 0.004 0.0006 0.0005
+quadrature independent 64 40 0.003 0.0004 0.0005
+quadrature independent 256 160 0.0007 0.0001 0.0005
+"""
+
+
 @kept
 def test_speed_against_accuracy():
-    table = QTable(
-        {
-            "method": ["exact", "sampled", "sampled", "sweep"],
-            "n_points": MaskedColumn([0, 5, 65, 9], mask=[True, False, False, False]),
-            "time": [0.04, 0.03, 0.8, 13] * u.ms,
-            "n_colliding_true": [1100] * 4,
-            "misclassified": [0, 0.02, 0, 1.7],
-            "max_error": np.array([1e-15, 1.2, 0.07, 4.2]) * u.mm,
-        },
-        meta={"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"},
-    )
-    figure = Figure(figsize=(9, 9))
+    meta = {"instrument": "lamost", "n_positioners": 4000, "machine": "a processor, 2 cores"}
+    table, figure = text_table(SPEED, meta, time=u.ms, max_error=u.mm), Figure(figsize=(9, 9))
     return rs.plot.plot_speed_accuracy(table, axes=tuple(figure.subplots(2, sharex=True)))[0].figure
 
 
 @kept
 def test_probability_against_time():
-    table = QTable(
-        {
-            "method": ["closed_form", "conditional", "conditional", "quadrature", "quadrature"],
-            "estimand": ["independent", "allocated", "allocated", "independent", "independent"],
-            "effort": [0, 4, 64, 64, 256],
-            "time": [1, 9, 120, 40, 160] * u.ms,
-            "error": [0.3, 0.02, 0.004, 0.003, 0.0007],
-            "error_error": [0, 0.002, 0.0006, 0.0004, 0.0001],
-            "truth_error": [0.0005] * 5,
-        },
-        meta={"instrument": "mine", "n_positioners": 37, "repeats": 30},
-    )
+    table = text_table(ACCURACY, {"instrument": "mine", "n_positioners": 37, "repeats": 30}, time=u.ms)
     figure, room = Figure(figsize=(9, 5)), {"top": 0.8, "wspace": 0.35}
     return rs.plot.plot_probability_accuracy(table, axes=tuple(figure.subplots(1, 2, gridspec_kw=room)))[0].figure
 

@@ -26,12 +26,9 @@ def open_browser(ignored=""):
         browser = driver.chromium.launch(executable_path=path, args=["--no-sandbox", "--disable-gpu"])
 
         def visit(file, *, width=1400, height=1000, scheme="light", touch=False, scripts=True):
-            context = browser.new_context(
-                viewport={"width": width, "height": height},
-                color_scheme=scheme,
-                has_touch=touch,
-                java_script_enabled=scripts,
-            )
+            size = {"width": width, "height": height}
+            options = {"color_scheme": scheme, "has_touch": touch, "java_script_enabled": scripts}
+            context = browser.new_context(viewport=size, **options)
             own = file.as_uri()
 
             def guard(route):

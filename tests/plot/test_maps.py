@@ -33,8 +33,7 @@ def test_pixels_count_the_annuli_around_them():
 
 
 def test_the_legend_gives_the_parts_of_the_footprint(presets):
-    parts = 100 * presets["moons"].focal_plane.coverage()
-    ax = rs.plot.plot_coverage("moons", n_pixels=20)
+    parts, ax = 100 * presets["moons"].focal_plane.coverage(), rs.plot.plot_coverage("moons", n_pixels=20)
     shown = [float(text.split("(")[1].removesuffix(" %)").removeprefix("< ")) for text in words(ax)]
     assert shown == pytest.approx(parts, rel=0.05, abs=0.2)
     assert words(ax)[0].startswith("no positioner")
@@ -44,8 +43,7 @@ def test_the_legend_gives_the_parts_of_the_footprint(presets):
 
 def test_many_positioners_are_put_together_and_a_line_has_no_footprint():
     unit = replace(ROBOT, central_arm=14 * u.mm, eccentric_arm=15 * u.mm)
-    dense = rs.FocalPlane.hexagonal(unit, rings=3, pitch=15 * u.mm)
-    texts = words(rs.plot.plot_coverage(dense, n_pixels=20))
+    texts = words(rs.plot.plot_coverage(rs.FocalPlane.hexagonal(unit, rings=3, pitch=15 * u.mm), n_pixels=20))
     assert texts[-1].startswith("6 or more")
     assert sum(float(t.split("(")[1].removesuffix(" %)")) for t in texts if "<" not in t) == pytest.approx(100, abs=0.5)
     two = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, ROBOT)
@@ -75,15 +73,13 @@ def test_estimates_are_disks_colored_by_probability(small):
     assert filled.get_clim() == pytest.approx((low - 0.15 * (high - low), high))
     assert filled.get_cmap().name == "gray"
     np.testing.assert_array_equal(open_ones.get_offsets(), plane.xy.value[:3])
-    assert words(ax) == ["not counted"]
-    assert ax.child_axes[0].get_ylabel() == "collision probability"
+    assert (words(ax), ax.child_axes[0].get_ylabel()) == (["not counted"], "collision probability")
     # disks of neighbors do not overlap
     assert filled.get_widths()[0] == pytest.approx(0.96 * 25.6)
 
 
 def test_counts_are_parts_of_the_configurations(small):
-    plane = small.focal_plane
-    tips = np.full((4, 37, 2), np.nan)
+    plane, tips = small.focal_plane, np.full((4, 37, 2), np.nan)
     # the first two arms collide in half of the configurations
     tips[:2, :2] = plane.xy.value[:2] + [[[12, 0], [-12, 0]]]
     counts = rs.collision.count_collisions(plane, tips * u.mm, parked_obstacles=False)
@@ -154,6 +150,5 @@ def test_maps_of_large_instruments_have_contrast(presets):
 
 
 def test_equal_probabilities_have_one_color(small):
-    filled = disks(rs.plot.plot_collision_map(np.full(37, 0.25), small))[0]
-    assert filled.get_clim() == (0, 0.25)
+    assert disks(rs.plot.plot_collision_map(np.full(37, 0.25), small))[0].get_clim() == (0, 0.25)
     assert disks(rs.plot.plot_collision_map(np.zeros(37), small))[0].get_clim() == (0, 1)

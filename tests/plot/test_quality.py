@@ -69,10 +69,8 @@ def test_fibers_in_each_spectrograph_with_what_is_required(tile):
         (found,) = [c for c in ax.containers if c.get_label().startswith(f"{kind}:")]
         rows = t["kind"] == kind
         expected = [((t["spectrograph"] == k) & rows & ~t["in_collision"]).sum() for k in range(16)]
-        assert [bar.get_height() for bar in found] == expected
-        assert found.get_label() == f"{kind}: {rows.sum()}"
-        lines = [c.get_segments()[0][0, 1] for c in ax.collections if isinstance(c, LineCollection)]
-        assert minimum in lines
+        assert ([bar.get_height() for bar in found], found.get_label()) == (expected, f"{kind}: {rows.sum()}")
+        assert minimum in [c.get_segments()[0][0, 1] for c in ax.collections if isinstance(c, LineCollection)]
     colliding = sum(bar.get_height() for c in ax.containers if c.get_label() == "in collision" for bar in c)
     assert colliding == (np.isin(t["kind"], ("sky", "standard")) & t["in_collision"]).sum() > 0
     assert "required per spectrograph" in words(ax)
@@ -105,8 +103,7 @@ def test_histogram_of_a_column(tile, column, label):
     if label == "priority":
         outlines = [p.get_xy() for p in ax.patches[::2]]
         for outline, rows in zip(outlines, (science, assigned), strict=True):
-            counts = {(rows & (found["priority"] == k)).sum() for k in (1, 2, 3)}
-            assert set(outline[:, 1]) == {0, *counts}
+            assert set(outline[:, 1]) == {0, *{(rows & (found["priority"] == k)).sum() for k in (1, 2, 3)}}
 
 
 def test_fractions_against_radius(tile):
@@ -210,12 +207,10 @@ def test_a_survey_of_one_pass_and_no_class_is_drawn(presets, sky):
 def test_many_classes_and_passes_of_a_survey_share_bars_and_colors(presets, sky):
     many = rs.Catalog(sky.coord, priority=np.arange(N) % 20, category=np.array([f"c{k % 12}" for k in range(N)]))
     tiles = QTable({"ra": np.full(7, 95.0) * u.deg, "dec": np.full(7, 23.0) * u.deg, "pass": np.arange(7)})
-    survey = rs.plan_survey(many, presets["sdss_apo"], tiles)
-    ax = rs.plot.plot_quality(survey)[0]
+    ax = rs.plot.plot_quality(rs.plan_survey(many, presets["sdss_apo"], tiles))[0]
     assert words(ax) == ["in pass 0", "in pass 1", "in pass 2", "in pass 3", "in passes 4 to 6", "not observed"]
     labels = [text.get_text() for text in ax.get_yticklabels()]
-    assert len([label for label in labels if label.startswith("c")]) == 8
-    assert labels[-1] == "priority 13"
+    assert (len([label for label in labels if label.startswith("c")]), labels[-1]) == (8, "priority 13")
     assert ax.get_xlabel().endswith("; 17 more classes not shown")
     last = [sum(bar.get_width() for bar in row) for row in zip(*ax.containers, strict=True)]
     np.testing.assert_allclose(last, 1)
@@ -243,8 +238,7 @@ def test_values_over_many_decades_have_logarithmic_bins(presets):
     flux = 10 ** np.random.default_rng(1).uniform(-6, 6, 1000)
     flux[:3] = 0, -1, -1e6
     ax = histogram_of(presets, flux)[2]
-    assert ax.get_xscale() == "log"
-    assert ax.get_xlabel() == "flux; 3 values of 0 or less not shown"
+    assert (ax.get_xscale(), ax.get_xlabel()) == ("log", "flux; 3 values of 0 or less not shown")
     steps = ax.patches[0].get_xy()[:, 1]
     assert set(np.histogram(np.log10(flux[3:]), 24)[0]) == set(steps[steps > 0])
     assert ((steps > 20) | (steps == 0)).all()
@@ -260,5 +254,4 @@ def test_values_of_similar_size_have_equal_bins(presets, low):
 
 def test_the_ring_of_one_target_is_at_the_center_of_the_panel(presets):
     ax = histogram_of(presets, np.ones(1))[3]
-    x = ax.lines[0].get_xdata()
-    assert 0.3 < x[0] / ax.get_xlim()[1] < 0.7
+    assert 0.3 < ax.lines[0].get_xdata()[0] / ax.get_xlim()[1] < 0.7

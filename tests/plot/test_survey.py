@@ -1,3 +1,5 @@
+"""Maps of tilings and surveys, and plots of a tiling with a panel for each pass."""
+
 import astropy.units as u
 import matplotlib
 import numpy as np
@@ -17,8 +19,7 @@ def survey(small):
     sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
     sky = rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 2)
     tiles = SkyCoord([359.0, 0.2, 359.5] * u.deg, [20, 20, 20.5] * u.deg)
-    table = QTable({"ra": tiles.ra, "dec": tiles.dec, "pass": [1, 1, 2]})
-    return rs.plan_survey(sky, small, table)
+    return rs.plan_survey(sky, small, QTable({"ra": tiles.ra, "dec": tiles.dec, "pass": [1, 1, 2]}))
 
 
 def test_fields_are_drawn_where_they_are_on_either_side_of_the_origin(survey):
@@ -74,16 +75,14 @@ def test_wide_tilings_show_the_whole_sky():
     for polygon, k in zip(polygons, tile_of.astype(int), strict=True):
         x, y = polygon.T
         assert np.abs(x).max() <= np.pi
-        rim = SkyCoord((np.pi - x) * u.rad, y * u.rad)
-        away = rim.separation(tiling.coord[k])
+        away = SkyCoord((np.pi - x) * u.rad, y * u.rad).separation(tiling.coord[k])
         cut = (np.abs(x) == np.pi) | (np.abs(y) == np.pi / 2)
         assert np.abs(away - radius)[~cut].max() < 1e-6 * u.deg
         # the part that is cut off is within the field
         assert (away[cut] <= radius + 0.2 * u.deg).all()
     # east is to the left of the center at 180 deg
     assert polygons[-1][:, 0].mean() < 0
-    figure = matplotlib.figure.Figure()
-    region = figure.subplots()
+    region = matplotlib.figure.Figure().subplots()
     assert rs.plot.plot_tiling(tiling, ax=region) is region
 
 
@@ -130,8 +129,7 @@ def test_completeness_rises_to_what_the_summary_says(survey):
     ax = rs.plot.plot_completeness(survey)
     lines = {line.get_label(): line.get_xydata() for line in ax.get_lines()}
     curve = lines["all visits"]
-    assert curve[0].tolist() == [0, 0]
-    assert curve[-1].tolist() == [3, survey.summary["completeness"]]
+    assert (curve[0].tolist(), curve[-1].tolist()) == ([0, 0], [3, survey.summary["completeness"]])
     assert (np.diff(curve[:, 1]) >= 0).all()
     assert lines["fraction of complete targets"][-1, 1] == pytest.approx(survey.summary["completeness_targets"])
     last = survey.completeness[survey.completeness["pass"] == 2]
@@ -146,8 +144,7 @@ def test_the_curve_follows_the_order_of_observing(small):
     sky = rs.synthetic_catalog("poisson", CENTER, 2 * u.deg, density=200 / u.deg**2, rng=3)
     table = QTable({"ra": [359.0, 359.5] * u.deg, "dec": [20, 21] * u.deg, "pass": [2, 1]})
     survey = rs.plan_survey(sky, small, table)
-    curve = rs.plot.plot_completeness(survey).get_lines()[0].get_ydata()
-    observed = survey.tiles["n_observed"]
+    curve, observed = rs.plot.plot_completeness(survey).get_lines()[0].get_ydata(), survey.tiles["n_observed"]
     assert observed[0] != observed[1]
     assert curve[1] == observed[1] / len(sky)
 
@@ -157,8 +154,7 @@ def test_twenty_thousand_tiles_are_one_collection():
     tiling = rs.Tiling.from_table(
         QTable({"ra": rng.uniform(0, 360, 20_000) * u.deg, "dec": rng.uniform(-60, 60, 20_000) * u.deg})
     )
-    ax = rs.plot.plot_tiling(tiling)
-    assert len(ax.collections) == 1
+    assert len(rs.plot.plot_tiling(tiling).collections) == 1
 
 
 def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey):
@@ -166,8 +162,7 @@ def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey
 
     Translucent colors looked like other values.
     """
-    fields = rs.plot.plot_tiling(survey).collections[0]
-    values = survey.tiles["completeness"]
+    fields, values = rs.plot.plot_tiling(survey).collections[0], survey.tiles["completeness"]
     assert fields.get_clim() == (values.min(), values.max())
     assert values.max() < 0.9
     assert (fields.to_rgba(fields.get_array())[:, 3] == 1).all()
@@ -179,8 +174,7 @@ def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey
 def test_targets_and_the_border_of_a_region_are_drawn():
     box = rs.Region.box(ra=[350 * u.deg, 10 * u.deg], dec=[10, 20] * u.deg)
     tiling = rs.place_tiles(box, "lamost")
-    targets = SkyCoord([359, 3, 200] * u.deg, [15, 12, -80] * u.deg)
-    ax = rs.plot.plot_tiling(tiling, targets=targets, region=box)
+    ax = rs.plot.plot_tiling(tiling, targets=SkyCoord([359, 3, 200] * u.deg, [15, 12, -80] * u.deg), region=box)
     *sides, dots = ax.get_lines()
     np.testing.assert_allclose(np.sort(dots.get_xdata() % 360), [3, 200, 359])
     corners = np.vstack([line.get_xydata() for line in sides])
@@ -215,8 +209,7 @@ def test_borders_divide_inside_from_outside(region, projection):
     points = np.vstack([line.get_xydata() for line in lines])[::7]
     ra, dec = (np.pi - points[:, 0], points[:, 1]) if projection else np.deg2rad(points.T)
     border = SkyCoord(ra, dec, unit="rad")
-    angles = np.arange(0, 360, 15) * u.deg
-    near = border[:, None].directional_offset_by(angles, 1.2 * u.deg)
+    near = border[:, None].directional_offset_by(np.arange(0, 360, 15) * u.deg, 1.2 * u.deg)
     inside = region.contains(near.ravel()).reshape(near.shape)
     assert (inside.any(axis=1) & ~inside.all(axis=1)).all()
 
@@ -243,3 +236,57 @@ def test_few_fields_are_round(survey):
     """Regression: large circles had visible corners."""
     (edges,) = [c for c in rs.plot.plot_tiling(survey).collections if isinstance(c, LineCollection)]
     assert {len(segment) for segment in edges.get_segments()} == {145}
+
+
+def tiling_of(passes, dec=20):
+    n = len(passes)
+    return rs.Tiling.from_table(
+        QTable({"ra": (350 + 3 * np.arange(n)) % 360 * u.deg, "dec": [dec] * n * u.deg, "pass": passes})
+    )
+
+
+def test_each_pass_has_a_panel_on_the_same_map():
+    """Regression: passes were drawn on top of each other in two colors."""
+    tiling = tiling_of([1, 1, 3, 3, 3, 7])
+    figure = rs.plot.draw_tiling(tiling)
+    assert [ax.get_title() for ax in figure.axes] == ["pass 1: 2 tiles", "pass 3: 3 tiles", "pass 7: 1 tile"]
+    assert len({(ax.get_xlim(), ax.get_ylim()) for ax in figure.axes}) == 1
+    for ax, number in zip(figure.axes, (1, 3, 7), strict=True):
+        (fields,) = [c for c in ax.collections if isinstance(c, PolyCollection)]
+        middles = [path.vertices[:-1].mean(axis=0)[0] % 360 for path in fields.get_paths()]
+        assert middles == pytest.approx(tiling.table["ra"][tiling.table["pass"] == number].value, abs=1e-3)
+        assert ax.xaxis_inverted()
+
+
+def test_targets_and_the_region_are_in_every_panel():
+    region, targets = rs.Region.parse("box 340 20 10 50"), SkyCoord([352, 358] * u.deg, [20, 21] * u.deg)
+    figure = rs.plot.draw_tiling(tiling_of([1, 2]), targets=targets, region=region)
+    for ax in figure.axes:
+        *sides, dots = ax.get_lines()
+        assert (len(sides), sorted(dots.get_xdata() % 360)) == (4, pytest.approx([352, 358]))
+        assert ax.get_ylim()[1] > 50  # the whole region is visible
+    (legend,) = figure.legends
+    assert [text.get_text() for text in legend.get_texts()] == ["region", "2 targets"]
+
+
+def test_one_pass_and_many_passes_are_one_picture():
+    for passes in ([1, 1], list(range(9))):
+        assert rs.plot.draw_tiling(tiling_of(passes)).axes[0].get_title() == f"{len(passes)} tiles"
+
+
+def test_the_whole_sky_has_panels():
+    tiling = rs.place_tiles(rs.Region.whole_sky(), radius=30 * u.deg, method="spiral", passes=2)
+    assert [ax.name for ax in rs.plot.draw_tiling(tiling).axes] == ["aitoff", "aitoff"]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"tiling": 5}, "tiling must be a Tiling, got int"),
+        ({"region": "sky"}, "region must be a Region, got str"),
+        ({"targets": [1]}, "targets must be a SkyCoord"),
+    ],
+)
+def test_bad_input_is_named(options, message):
+    with pytest.raises(rs.InputError, match=message):
+        rs.plot.draw_tiling(**{"tiling": tiling_of([1, 2]), **options})

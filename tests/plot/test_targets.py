@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 
 import rfpsurvey as rs
 from rfpsurvey.pipeline import OUTCOMES, Outcome
-from rfpsurvey.plot._classes import OUTCOME_COLORS
+from rfpsurvey.plot._classes import MOST, OUTCOME_COLORS, short_names
 from rfpsurvey.plot._style import ARM, SERIES
 
 CENTER = SkyCoord(95, 23, unit="deg")
@@ -48,8 +48,7 @@ def science_only(presets, sky):
 
 @pytest.fixture(scope="module")
 def survey(presets, sky):
-    tiles = rs.place_tiles(sky, presets["moons"], n_tiles=6)
-    return rs.plan_survey(sky, presets["moons"], tiles, visits=2)
+    return rs.plan_survey(sky, presets["moons"], rs.place_tiles(sky, presets["moons"], n_tiles=6), visits=2)
 
 
 def layers(ax):
@@ -132,8 +131,7 @@ def test_the_most_important_and_the_rarest_targets_are_on_top(tile):
     """Regression: the last targets that were drawn, those of the lowest priority, hid all other targets."""
     for color, order in (("priority", ["priority 1", "priority 2", "priority 3"]), ("kind", ["science", "sky"])):
         drawn = {label.split(":")[0]: dots for label, dots in layers(rs.plot.plot_targets(tile, color=color)).items()}
-        heights = [drawn[name].get_zorder() for name in order]
-        assert (np.diff(heights) > 0).all()
+        assert (np.diff([drawn[name].get_zorder() for name in order]) > 0).all()
 
 
 def test_kinds_have_colors_of_their_own(science_only):
@@ -143,8 +141,7 @@ def test_kinds_have_colors_of_their_own(science_only):
 
 
 def test_targets_that_are_not_requested_are_on_the_sky_only(science_only):
-    found = science_only.outcomes
-    n = (found["outcome"] == "not requested").sum()
+    n = (science_only.outcomes["outcome"] == "not requested").sum()
     assert n > 100
     assert not [text for text in words(rs.plot.plot_focal_plane(science_only, targets="outcome")) if "not req" in text]
     assert f"not requested: {n}" in words(rs.plot.plot_targets(science_only))
@@ -202,8 +199,7 @@ def test_axes_and_style_can_be_given(tile):
 def test_a_tile_with_one_target_is_drawn(presets):
     one = rs.plan_tile(SkyCoord([95.05] * u.deg, [23.05] * u.deg), presets["moons"], CENTER)
     ax = rs.plot.plot_targets(one)
-    assert ax.get_title() == "moons: 1 of 1 targets assigned"
-    assert words(ax) == ["observed: 1"]
+    assert (ax.get_title(), words(ax)) == ("moons: 1 of 1 targets assigned", ["observed: 1"])
     assert words(rs.plot.plot_focal_plane(one, targets="kind"))[-1] == "science: 1 of 1"
 
 
@@ -234,8 +230,7 @@ def test_what_cannot_be_drawn_is_refused(tile, survey, sky, presets):
 def test_a_hundred_thousand_targets_are_quick_and_an_image_in_files_of_vectors(presets):
     desi, n = presets["desi"], 100_000
     sky = rs.synthetic_catalog("uniform", CENTER, desi.field_radius, n_targets=n, rng=1)
-    tile = rs.plan_tile(sky, desi, CENTER, allocator="balanced")
-    start = time.perf_counter()
+    tile, start = rs.plan_tile(sky, desi, CENTER, allocator="balanced"), time.perf_counter()
     ax = rs.plot.plot_focal_plane(tile, targets="outcome")
     rs.plot.plot_targets(tile).figure.savefig(io.BytesIO(), format="png", dpi=100)
     assert time.perf_counter() - start < 30
@@ -254,8 +249,7 @@ def test_few_targets_are_at_the_center(presets, make):
     if make == "column":
         coord = SkyCoord(np.full(5, 95.3) * u.deg, np.linspace(22.8, 23.2, 5) * u.deg)
     if make == "survey":
-        result = rs.plan_survey(coord, presets["sdss_apo"], CENTER.reshape(1))
-        ax = rs.plot.plot_targets(result, coord)
+        ax = rs.plot.plot_targets(rs.plan_survey(coord, presets["sdss_apo"], CENTER.reshape(1)), coord)
     else:
         ax = rs.plot.plot_targets(rs.plan_tile(coord, presets["sdss_apo"], CENTER))
     (dots,) = layers(ax).values()
@@ -264,3 +258,35 @@ def test_few_targets_are_at_the_center(presets, make):
     assert (np.abs(at - 0.5) < (0.2 if make == "survey" else 0.01)).all()
     assert np.ptp(limits, axis=0).min() > 0.05
     assert dots.get_sizes()[0] == pytest.approx(25)
+
+
+SETS = {
+    "same beginning": [f"bright_emission_line_galaxies_of_program_{k}" for k in range(30)],
+    "same end": [f"{k}_bright_emission_line_galaxies_of_program" for k in range(30)],
+    "same beginning and end": [f"bright_emission_line_{k}_galaxies_of_a_program" for k in range(30)],
+    "short": ["LRG", "ELG", "QSO", ""],
+    "mixed": ["LRG", "x" * 22, "x" * 23, "x" * 24],
+}
+
+
+@pytest.mark.parametrize("names", SETS.values(), ids=SETS)
+def test_different_names_have_different_short_names(names):
+    short = short_names(names)
+    assert len(set(short)) == len(set(names))
+    assert max(map(len, short)) <= MOST
+    assert all(a == b for a, b in zip(names, short, strict=True) if names is SETS["short"])
+
+
+def test_long_names_of_categories_do_not_shrink_the_axes(presets):
+    """Regression: names of 40 characters reduced the axes to a third of the figure, or were cut off."""
+    apo = presets["sdss_apo"]
+    sky = rs.synthetic_catalog("poisson", CENTER, apo.field_radius, density=300 / u.deg**2, rng=1)
+    names = np.array(SETS["same beginning"][:14])[np.arange(len(sky)) % 14]
+    tile = rs.plan_tile(rs.Catalog(sky.coord, category=names), apo, CENTER)
+    for ax, least in ((rs.plot.plot_quality(tile)[0], 0.3), (rs.plot.plot_focal_plane(tile, targets="category"), 0.75)):
+        figure = ax.figure
+        figure.canvas.draw()
+        assert ax.get_position().width > least
+        box = ax.get_legend().get_window_extent()
+        assert box.x0 >= 0
+        assert box.x1 <= figure.bbox.x1

@@ -1,12 +1,7 @@
 """Pages in a real browser: Chromium or a related one, if it is installed; RFPSURVEY_BROWSER names another browser."""
 
-import json
-import os
-import re
-import shutil
-import subprocess
+from contextlib import suppress
 from functools import cache
-from urllib.parse import unquote
 
 import astropy.units as u
 import numpy as np
@@ -19,27 +14,7 @@ import rfpsurvey as rs
 from pages import Reader
 
 CENTER = SkyCoord(95, 23, unit="deg")
-EXHAUSTIVE = pytest.mark.exhaustive
-OPTIONS = (
-    "--headless=new",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--no-first-run",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--disable-extensions",
-    "--virtual-time-budget=2000",
-    "--host-resolver-rules=MAP * ~NOTFOUND",
-    "--enable-logging=stderr",
-)
-WATCH = """<script>
-window.seen = [];
-addEventListener("error", (event) => seen.push(`error: ${event.message}`), true);
-addEventListener("securitypolicyviolation", (event) => seen.push(`refused: ${event.blockedURI}`));
-</script>"""
-TRY = """<script>
-addEventListener("load", () => {
+TRY = """() => {
   for (const part of document.querySelectorAll("details")) {
     part.open = true;
     part.dispatchEvent(new Event("toggle"));
@@ -64,61 +39,14 @@ addEventListener("load", () => {
         Array.from(table.tBodies[0].rows, (row) => row.cells[0].textContent)];
     })));
   const wide = document.documentElement.scrollWidth - document.documentElement.clientWidth;
-  const fetched = performance.getEntriesByType("resource").map((entry) => entry.name);
-  parent.postMessage(encodeURIComponent(JSON.stringify({ seen, orders, fetched, wide, cut, hidden })), "*");
-});
-</script>"""
-# windows are at least 500 pixels wide, but frames can be narrower
-FRAME = """<!DOCTYPE html><html><body>
-<iframe src="copy.html" style="border: 0; width: {width}px; height: 900px"></iframe>
-<script>
-addEventListener("message", (event) => {
-  const found = document.createElement("script");
-  found.type = "application/json";
-  found.id = "found";
-  found.textContent = event.data;
-  document.body.append(found);
-});
-</script></body></html>"""
+  return { orders, wide, cut, hidden };
+}"""
 
 
-@pytest.fixture(scope="session")
-def browse(tmp_path_factory):
-    """Return a function that loads a page with a given width, and returns the final content and the logged messages."""
-    names = ("chromium", "chromium-browser", "google-chrome", "chrome")
-    browser = os.environ.get("RFPSURVEY_BROWSER") or next(filter(None, map(shutil.which, names)), None)
-    if browser is None:
-        pytest.skip("there is no Chromium here, and RFPSURVEY_BROWSER names no other browser")
-    profile = tmp_path_factory.mktemp("profile")
-
-    def call(path, width=1200):
-        options = (*OPTIONS, f"--user-data-dir={profile}", f"--window-size={width},900")
-        done = subprocess.run(
-            [browser, *options, "--dump-dom", path.as_uri()], capture_output=True, text=True, check=True, timeout=120
-        )
-        return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-
-    return call
-
-
-def tried(browse, path, width=1200):
-    """Click every column name twice in a copy of a page whose policy permits the script of the test; return the
-    results.
-    """
-    text, relaxed = re.subn(
-        r"script-src 'sha256-[^']*'", "script-src 'unsafe-inline'", path.read_text(encoding="utf-8")
-    )
-    assert relaxed == 1
-    copy = path.with_name("copy.html")
-    copy.write_text(text.replace("<title>", f"{WATCH}<title>", 1).replace("</body>", f"{TRY}</body>"), encoding="utf-8")
-    frame = path.with_name("frame.html")
-    frame.write_text(FRAME.replace("{width}", str(width)), encoding="utf-8")
-    dom, console = browse(frame, width + 100)
-    assert console == []
-    found = json.loads(unquote(re.search(r'id="found">([^<]*)<', dom)[1]))
-    assert found["seen"] == []
-    assert found["fetched"] == []
-    return found
+@pytest.fixture
+def tried(visit):
+    """Return a function that clicks every column name of a page twice, and returns the results."""
+    return lambda path, width=1200: visit(path, width=width, height=900).evaluate(TRY)
 
 
 @pytest.fixture(scope="module")
@@ -130,37 +58,34 @@ def page_of(small, tmp_path_factory):
 def write_page(kind, folder, small):
     """Write the page of a small result."""
     sky = rs.synthetic_catalog("poisson", CENTER, 0.5 * u.deg, density=200 / u.deg**2, rng=3)
-    if kind == "tile":
-        result = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost_rule")
-    elif kind == "survey":
-        result = rs.plan_survey(sky, small, rs.place_tiles(sky, small, passes=2), allocator="lamost_rule")
-    elif kind == "tiling":
-        result = rs.place_tiles(sky, small, passes=2)
-    elif kind == "allocators":
-        result = rs.compare_allocators(sky, small, CENTER, allocators=["lamost_rule", "nearest", "repair"])
-    else:
-        result = flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1)
+    make = {
+        "tile": lambda: rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost_rule"),
+        "tiling": lambda: rs.place_tiles(sky, small, passes=2),
+        "allocators": lambda: rs.compare_allocators(
+            sky, small, CENTER, allocators=["lamost_rule", "nearest", "repair"]
+        ),
+        "estimate": lambda: flat.collision_probability(small, method="quadrature", max_iterations=64, rng=1),
+    }
     path = folder / f"{kind}.html"
-    rs.write_report(result, path)
+    rs.write_report(make[kind](), path)
     return path
 
 
+N_TABLES = {"tile": 2, "tiling": 1, "allocators": 1, "estimate": 0}
+
+
 @pytest.mark.parametrize(
-    "kind", ["tile", "allocators", "estimate", *(pytest.param(k, marks=EXHAUSTIVE) for k in ("survey", "tiling"))]
+    "kind", ["tile", "allocators", "estimate", pytest.param("tiling", marks=pytest.mark.exhaustive)]
 )
-def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, kind):
+def test_pages_open_without_an_error_and_sort_by_every_column(tried, page_of, kind):
     path = page_of(kind)
     tables = [t for t in Reader(path.read_text()).tables if t["class"].split()[0] == "rows" and len(t["rows"]) > 2]
-    found = tried(browse, path, width=400)
+    found = tried(path, 400)
     assert found["wide"] <= 0  # on a phone, tables and wide figures scroll, but the page does not
     assert max(found["cut"], default=0) <= 0  # figures are shown completely
     clicked = [orders for orders in found["orders"] if orders]
     # the script of the view of a tile makes one more table
-    assert (
-        len(clicked) - (kind == "tile")
-        == len(tables)
-        == {"tile": 2, "survey": 2, "tiling": 1, "allocators": 1, "estimate": 0}[kind]
-    )
+    assert len(clicked) - (kind == "tile") == len(tables) == N_TABLES[kind]
     for orders in clicked:
         for (up, one, ascending, _), (down, other, descending, _) in orders:
             assert (up, one, down, other) == ("ascending", 1, "descending", 1)
@@ -172,54 +97,46 @@ def test_pages_open_without_an_error_and_sort_by_every_column(browse, page_of, k
                 assert numbers == [sorted(numbers[0]), sorted(numbers[0], reverse=True)]
 
 
-@pytest.mark.parametrize("width", [400, pytest.param(1200, marks=EXHAUSTIVE)])
-def test_a_table_says_how_many_columns_are_hidden(browse, page_of, width):
+@pytest.mark.parametrize("width", [400, pytest.param(1200, marks=pytest.mark.exhaustive)])
+def test_a_table_says_how_many_columns_are_hidden(tried, page_of, width):
     """Regression: wide tables ended at the edge of the page without any note."""
-    hidden = tried(browse, page_of("tile"), width)["hidden"]
+    hidden = tried(page_of("tile"), width)["hidden"]
     assert len(hidden) == 3  # the first is the table of assignments in the view
     assert width == 1200 or min(number for number, _ in hidden) > 0
     for number, words in hidden:
-        assert words == (
-            "" if number == 0 else f"{number} more column{'s' * (number > 1)}: scroll sideways \N{RIGHTWARDS ARROW}"
-        )
+        more = f"{number} more column{'s' * (number > 1)}: scroll sideways \N{RIGHTWARDS ARROW}"
+        assert words == (more if number else "")
 
 
 def is_number(text):
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
+    with suppress(ValueError):
+        return float(text) is not None
+    return False
 
 
-def test_sorting_knows_numbers_keeps_ties_and_puts_what_is_missing_last(browse, tmp_path):
-    table = QTable(
-        {
-            "name": list("abcdef"),
-            "number": [10.0, 9.0, np.nan, -1e-3, np.inf, -2.0] * u.mm,
-            "count": MaskedColumn([10, 9, 100, 9, 10, 2], mask=[0, 0, 0, 0, 0, 1]),
-            "word": ["s10", "s9", "", "S1", "s9", "t"],
-        }
-    )
+def test_sorting_knows_numbers_keeps_ties_and_puts_what_is_missing_last(tried, tmp_path):
+    table = QTable({"name": list("abcdef"), "number": [10.0, 9.0, np.nan, -1e-3, np.inf, -2.0] * u.mm})
+    table["count"] = MaskedColumn([10, 9, 100, 9, 10, 2], mask=[0, 0, 0, 0, 0, 1])
+    table["word"] = ["s10", "s9", "", "S1", "s9", "t"]
     rs.write_report(table, tmp_path / "page.html")
-    ((_, number, count, word),) = tried(browse, tmp_path / "page.html")["orders"]
+    ((_, number, count, word),) = tried(tmp_path / "page.html")["orders"]
     # rows with equal values stay in the order that the page had before the click
     assert ["".join(names) for *_, names in number] == ["fdbaec", "eabdfc"]
     assert ["".join(names) for *_, names in count] == ["bdeacf", "ceabdf"]
     assert ["".join(names) for *_, names in word] == ["debafc", "faebdc"]
 
 
-def test_the_page_itself_runs_its_script_under_its_policy(browse, tmp_path):
-    rs.write_report(QTable({"a": [2, 1], "b": ["x", "y"]}), tmp_path / "page.html")
-    dom, console = browse(tmp_path / "page.html")
-    assert console == []
-    assert dom.count("<button") == dom.count('aria-sort="none"') == 2
+def test_the_page_itself_runs_its_script_under_its_policy(visit, tmp_path):
+    path, refused = tmp_path / "page.html", []
+    rs.write_report(QTable({"a": [2, 1], "b": ["x", "y"]}), path)
+    page = visit(path)
+    assert page.content().count("<button") == page.content().count('aria-sort="none"') == 2
     # the browser refuses all other scripts
-    text = (tmp_path / "page.html").read_text().replace("</body>", "<script>document.title = 'run'</script></body>")
-    (tmp_path / "page.html").write_text(text)
-    dom, console = browse(tmp_path / "page.html")
-    assert "<title>Untitled table</title>" in dom
-    assert len(console) == 1
+    path.write_text(path.read_text().replace("</body>", "<script>document.title = 'run'</script></body>"))
+    other = page.context.browser.new_page()
+    other.on("console", lambda message: refused.append(message.text))
+    other.goto(path.as_uri())
+    assert (other.title(), len(refused)) == ("Untitled table", 1)
 
 
 def test_heads_and_numbers_of_a_table_end_at_the_same_place(visit, tmp_path):

@@ -1,4 +1,4 @@
-"""Search, filters, legends, keys and differences of plans on the interactive focal plane, in a real browser."""
+"""Search, filters, keys, differences of plans, and the list of all assignments on the interactive focal plane."""
 
 import astropy.units as u
 import numpy as np
@@ -24,8 +24,7 @@ def plans(presets):
     rows = np.arange(150, 350, 10)
     states = QTable({"id": ids[rows], "state": ["stuck"] * len(rows)})
     states["theta"], states["phi"] = np.full(len(rows), 40.0) * u.deg, np.full(len(rows), 15.0) * u.deg
-    model = apo.with_states(states)
-    catalog = rs.Catalog(sky.coord, id=names, priority=np.arange(n) % 12)
+    model, catalog = apo.with_states(states), rs.Catalog(sky.coord, id=names, priority=np.arange(n) % 12)
     return {name: rs.plan_tile(catalog, model, CENTER, allocator=name) for name in ("nearest", "repair")}
 
 
@@ -84,8 +83,7 @@ def test_the_search_shows_both_a_positioner_and_a_target_with_the_same_id(one, p
 def test_a_target_of_two_plans_and_a_free_target_are_found(two, plans):
     first, second = (targets_of(plans[name]) for name in ("nearest", "repair"))
     k = next(k for k, name in enumerate(second) if name and name in first and first.index(name) != k)
-    text = find(two, second[k])
-    ids = plans["nearest"].table["id"]
+    text, ids = find(two, second[k]), plans["nearest"].table["id"]
     for plan, row in (("nearest", first.index(second[k])), ("repair", k)):
         assert f"the positioner {ids[row]} is assigned in the plan {plan}." in text
     free = next(iter(set(plans["repair"].idle_targets["target_id"].tolist()) - {*first, *second}))
@@ -97,8 +95,7 @@ def test_filters_are_in_the_order_of_their_numbers(one):
     """Regression: priorities were sorted as text, so that 10 and 11 preceded 2."""
     shown = one.evaluate(f"[...{VIEW}.tests.keys()]")
     values = [int(name.split()[1]) for name in shown if name.startswith("priority ")]
-    assert len(values) == 12
-    assert values == sorted(values)
+    assert (len(values), values) == (12, sorted(values))
 
 
 def test_collisions_that_are_not_counted_are_explained(one, plans, tmp_path):
@@ -107,8 +104,7 @@ def test_collisions_that_are_not_counted_are_explained(one, plans, tmp_path):
     n, touched = tile.summary["n_colliding"], int(tile.table["in_collision"].sum())
     assert touched > n > 0
     states = one.evaluate(f"{VIEW}.plan.state")
-    assert states.count("collision") == n
-    assert states.count("struck") == touched - n
+    assert (states.count("collision"), states.count("struck")) == (n, touched - n)
     assert "in collision, not counted" in one.locator(".legend").inner_text()
     rs.write_report(tile, tmp_path / "page.html")
     text = " ".join((tmp_path / "page.html").read_text().split())
@@ -126,8 +122,7 @@ def test_an_arm_with_another_target_has_its_own_color_in_both_plans(two):
     )
     colors = {name: two.evaluate(f"{VIEW}.stage.color('{name}')") for name in ("c-star", "c-arm", "c-other")}
     expected = {"other": colors["c-star"], "first": colors["c-arm"], "second": colors["c-other"]}
-    found = {kinds[k]: color for color, dashes, rows in dashed for k in rows if dashes}
-    assert found == expected
+    assert {kinds[k]: color for color, dashes, rows in dashed for k in rows if dashes} == expected
 
 
 def test_the_legend_of_differences_explains_dashes_and_collisions(two, plans):
@@ -162,3 +157,98 @@ def test_arrow_keys_visit_every_row_of_a_lattice(one):
     rows = np.unique(np.round(ys, 1))
     assert len(rows) == 27
     np.testing.assert_allclose(seen, rows, atol=1)
+
+
+LIMIT = 0.3  # seconds of processor time
+FRAME = "requestAnimationFrame"
+DRAWN = f"() => new Promise((resolve) => {FRAME}(() => {FRAME}(() => setTimeout(resolve, 50))))"
+
+
+@pytest.fixture(scope="module")
+def long_tile(presets):
+    model = presets["lamost"]
+    sky = rs.synthetic_catalog("poisson", CENTER, model.field_radius, density=model.target_density, rng=1)
+    return rs.plan_tile(rs.Catalog(sky.coord, priority=np.arange(len(sky)) % 3), model, CENTER, allocator="nearest")
+
+
+@pytest.fixture(scope="module")
+def long_page(visit, write_view, long_tile, tmp_path_factory):
+    path = tmp_path_factory.mktemp("long") / "page.html"
+    write_view(long_tile, path)
+    long_page = visit(path)
+    long_page.wait_for_function(f"{VIEW}?.stage.width > 1")
+    return long_page
+
+
+def test_4000_rows_open_sort_and_filter_in_300_ms_of_processor_time(long_page, long_tile):
+    """Regression: the table contained all rows, so that each of these steps took more than 2 s."""
+    session = long_page.context.new_cdp_session(long_page)
+    session.send("Performance.enable", {"timeDomain": "threadTicks"})
+
+    def used():
+        metrics = session.send("Performance.getMetrics")["metrics"]
+        return next(m["value"] for m in metrics if m["name"] == "TaskDuration")
+
+    assert len(long_tile) == 4000
+    steps = {
+        "open": "document.querySelector('.view details').open = true",
+        "sort by a number": "[...document.querySelectorAll('.live thead button')].at(-3).click()",
+        "sort by text": "document.querySelectorAll('.live thead button')[1].click()",
+        "filter": f"(() => {{ {VIEW}.filterBox.value = 'assigned'; {VIEW}.filter(); }})()",
+        "show all": f"(() => {{ {VIEW}.filterBox.value = 'all'; {VIEW}.filter(); }})()",
+        "scroll": f"{VIEW}.scroll.scrollTop = 60000",
+    }
+    seconds = {}
+    for name, script in steps.items():
+        begin = used()
+        long_page.evaluate(script)
+        long_page.evaluate(DRAWN)
+        seconds[name] = used() - begin
+    assert long_page.locator(".long-table").get_attribute("aria-rowcount") == "4001"
+    assert long_page.locator(".long-table tbody tr").count() < 80
+    assert max(seconds.values()) < LIMIT, seconds
+
+
+def test_every_row_can_be_reached_in_the_sorted_order(long_page, long_tile):
+    long_page.evaluate("document.querySelector('.view details').open = true")
+    long_page.wait_for_function(f"{VIEW}.table")
+    clearance = long_tile.table["clearance"].to_value(u.mm)
+    column = long_page.evaluate(f"{VIEW}.table.columns.findIndex(({{ name }}) => name === 'clearance')")
+    long_page.evaluate(f"{VIEW}.table.sorting = [{column}, -1]; {VIEW}.table.sort()")
+    expected, seen = np.sort(clearance[np.isfinite(clearance)])[::-1], []
+    for _ in range(1000):
+        rows = long_page.evaluate(
+            "[...document.querySelectorAll('.long-table [aria-rowindex]')].map((row) => "
+            f"[+row.getAttribute('aria-rowindex'), row.cells[{column}].textContent])"
+        )
+        seen += [row for row in rows if row[0] > len(seen) + 1]
+        if len(seen) == len(long_tile):
+            break
+        long_page.evaluate(f"{VIEW}.scroll.scrollTop += {VIEW}.scroll.clientHeight; {VIEW}.table.draw()")
+    assert [index for index, _ in seen] == list(range(2, len(long_tile) + 2))
+    values = [text.replace("\N{MINUS SIGN}", "-") for _, text in seen]
+    shown = [float(text) for text in values if text != "\N{EN DASH}"]
+    np.testing.assert_allclose(shown, expected, atol=1e-3)
+    assert set(values[len(shown) :]) <= {"\N{EN DASH}"}  # missing values are last
+
+
+def test_a_selected_row_keeps_the_focus_while_the_table_scrolls_a_little(long_page):
+    long_page.evaluate(f"{VIEW}.choose(2000); {VIEW}.enter()")
+    assert "select" in long_page.evaluate("document.activeElement.getAttribute('aria-label')")
+    long_page.evaluate(f"{VIEW}.scroll.scrollTop += 40")
+    long_page.evaluate(DRAWN)
+    assert long_page.evaluate("document.activeElement.closest('tr')?.getAttribute('aria-selected')") == "true"
+
+
+def test_heads_and_numbers_end_at_the_same_place(long_page):
+    """Regression: the heads of columns of numbers were aligned on the left, or had another distance from the edge."""
+    long_page.evaluate("document.querySelector('.view details').open = true")
+    ends = long_page.evaluate("""[...document.querySelectorAll('.long-table thead th.number')].map((head) => {
+        const end = (element) => { const range = document.createRange(); range.selectNodeContents(element);
+          return Math.max(...[...range.getClientRects()].map((box) => box.right)); };
+        const cell = document.querySelector('.long-table [aria-rowindex]').cells[head.cellIndex];
+        return [end(head.firstChild), end(cell)];
+    })""")
+    assert len(ends) > 5
+    for head, cell in ends:
+        assert head == pytest.approx(cell, abs=1)
