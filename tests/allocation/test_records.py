@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey._methods import describe_methods, help_of
@@ -50,8 +51,7 @@ def test_one_entry_in_the_table_adds_an_allocator(new, sky):
     assert rs.plan_survey(sky, "moons", TILES, allocator="lazy").summary["n_assigned"] == 1
     repaired = rs.AllocationOptions("repair", start="lazy")
     assert rs.plan_tile(sky, "moons", CENTER, allocator=repaired).summary["n_colliding"] == 0
-    with pytest.raises(rs.InputError, match="a joint plan needs the allocator 'optimal', got 'lazy'"):
-        rs.JointOptions(allocator="lazy")
+    refused("a joint plan needs the allocator 'optimal', got 'lazy'", rs.JointOptions, allocator="lazy")
     table = rs.compare_instruments("uniform", ["moons"], allocators=["lazy"], n_realizations=1)
     assert table["high"].tolist() == [0]
 
@@ -118,8 +118,7 @@ def test_an_invalid_declaration_is_an_error(name, value, words):
         return lazy(problem)
 
     setattr(own, name, value)
-    with pytest.raises(rs.InputError, match=words):
-        rs.AllocationOptions(own)
+    refused(words, rs.AllocationOptions, own)
 
 
 def test_every_function_and_command_has_the_same_default_without_collisions(run, sky):

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 from scipy.stats import kstest
 
 import rfpsurvey as rs
@@ -259,8 +260,7 @@ def test_equal_subpriorities_are_ordered_by_identifier(rng):
     ],
 )
 def test_wrong_subpriorities_are_refused(call, message):
-    with pytest.raises(rs.InputError, match=message):
-        call()
+    refused(message, call)
 
 
 def test_a_column_that_does_not_exist_is_refused(field):

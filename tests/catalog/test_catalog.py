@@ -8,6 +8,7 @@ from astropy.coordinates import FK5, AltAz, Galactic, SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
 from erfa import ErfaWarning
+from raising import refused, warned
 
 import rfpsurvey as rs
 
@@ -120,8 +121,7 @@ def test_write_then_read(tmp_path, suffix):
     np.testing.assert_array_equal(second.id, first.id)
     assert second.epoch.jyear == pytest.approx(2016)
     assert (path.read_bytes()[:2] == b"\x1f\x8b") == suffix.endswith(".gz")
-    with pytest.raises(rs.InputError, match="exists; to replace it, use overwrite=True"):
-        first.write(path)
+    refused("exists; to replace it, use overwrite=True", first.write, path)
     first.write(path, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -151,8 +151,7 @@ def test_sexagesimal_text_and_csv_without_units(tmp_path):
 def test_coordinates_that_are_not_finite_are_dropped_and_counted():
     t = table(id=[1, 2, 3], priority=[1, 2, 3])
     t["ra"][1] = np.nan
-    with pytest.warns(rs.RfpsurveyWarning, match="1 of 3 targets have no finite coordinates"):
-        catalog = rs.Catalog.from_table(t)
+    catalog = warned("1 of 3 targets have no finite coordinates", rs.Catalog.from_table, t)
     assert catalog.n_dropped == 1
     assert catalog.id.tolist() == [1, 3]
     masked = Table({"ra": MaskedColumn([1.0, 2.0], mask=[True, False], unit=DEG), "dec": [1.0, 2.0] * DEG})
@@ -235,10 +234,8 @@ def test_at_epoch_leaves_targets_without_proper_motion_in_place():
     still = rs.Catalog.from_table(table())
     assert still.at_epoch(2030) is still
     no_epoch = rs.Catalog.from_table(table(pmra=[1, 1, 1] * PM, pmdec=[1, 1, 1] * PM))
-    with pytest.raises(rs.InputError, match="proper motions but no epoch"):
-        no_epoch.at_epoch(2030)
-    with pytest.raises(rs.InputError, match="time must be a Time, a Julian year"):
-        still.at_epoch("soon")
+    refused("proper motions but no epoch", no_epoch.at_epoch, 2030)
+    refused("time must be a Time, a Julian year", still.at_epoch, "soon")
 
 
 def test_epochs_can_be_text():
@@ -247,13 +244,9 @@ def test_epochs_can_be_text():
     t["epoch"] = ["J2015.5", "2016-01-01", "unknown"]
     np.testing.assert_allclose(rs.Catalog.from_table(t).epoch.jyear[:2], [2015.5, 2016], atol=2e-3)
     t["epoch"] = ["J2015.5", "", "J2016.0"]
-    with pytest.raises(rs.InputError, match="1 of these targets have other values, such as nan"):
-        rs.Catalog.from_table(t)
+    refused("1 of these targets have other values, such as nan", rs.Catalog.from_table, t)
     t["epoch"] = ["J2015.5", "soon", "J2016.0"]
-    with pytest.raises(
-        rs.InputError, match=r"column 'epoch' \(epoch\) must be a Time, .* or a date such as .*, got 'soon'"
-    ):
-        rs.Catalog.from_table(t)
+    refused(r"column 'epoch' \(epoch\) must be a Time, .* or a date such as .*, got 'soon'", rs.Catalog.from_table, t)
 
 
 def test_epoch_from_the_meta_of_a_table(tycho):
@@ -314,19 +307,15 @@ def test_within_agrees_with_astropy(center, rng):
     ],
 )
 def test_bad_tables_are_named(content, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.Catalog.from_table(QTable(content))
+    refused(message, lambda: rs.Catalog.from_table(QTable(content)))
 
 
 def test_bad_overrides_are_named():
     with pytest.raises(rs.InputError, match="there is no column 'nope' for id; the columns are: ra, dec"):
         rs.Catalog.from_table(table(), columns={"id": "nope"})
-    with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
-        rs.Catalog.from_table(table(), columns={"identity": "ra"})
-    with pytest.raises(rs.InputError, match="id must have one value per target"):
-        rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1])
-    with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
-        rs.Catalog([1, 2])
+    refused("unknown column role 'identity'", lambda: rs.Catalog.from_table(table(), columns={"identity": "ra"}))
+    refused("id must have one value per target", lambda: rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1]))
+    refused("coord must be a SkyCoord", rs.Catalog, [1, 2])
     with pytest.raises(rs.InputError, match="'altaz' cannot be converted to ICRS"):
         rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz())).arrays.vectors  # noqa: B018
 
@@ -390,8 +379,7 @@ def test_small_print_of_columns():
     shift = rs.Catalog.from_table(half).at_epoch(2026).coord.separation(SkyCoord(half["ra"], half["dec"]))
     np.testing.assert_allclose(shift.to_value(u.arcsec), [90, 0, 0], atol=0.1)
     two = QTable({"a": SkyCoord([1] * DEG, [2] * DEG), "b": SkyCoord([3] * DEG, [4] * DEG)})
-    with pytest.raises(rs.InputError, match="a single column of coordinates, got a, b"):
-        rs.Catalog.from_table(two)
+    refused("a single column of coordinates, got a, b", rs.Catalog.from_table, two)
     both = QTable({"guide": SkyCoord([1] * DEG, [2] * DEG), "ra": [5.0] * DEG, "dec": [6.0] * DEG})
     assert rs.Catalog.from_table(both, columns={"ra": "ra", "dec": "dec"}).coord.ra[0].deg == 5
 

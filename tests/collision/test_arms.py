@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from raising import refused
 
 import rfpsurvey as rs
 from oracles import collisions_of, standing_arms
@@ -77,8 +78,7 @@ def test_arms_of_another_focal_plane_are_refused():
     plane, _ = SCENES["equal arms"]
     posed = place_arms(plane, plane.xy)
     elsewhere = rs.FocalPlane(plane.xy + 30 * MM, plane.positioner)
-    with pytest.raises(rs.InputError, match="the arms belong to another focal plane: 37 elbows"):
-        rs.find_collisions(elsewhere, posed)
+    refused("the arms belong to another focal plane: 37 elbows", rs.find_collisions, elsewhere, posed)
     with pytest.raises(
         rs.InputError, match="the arms must belong to the 7 positioners of the focal plane, got the arms of 37"
     ):

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from outlined import DESI_LIKE, placed
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.collision import place_arms
@@ -119,5 +120,4 @@ def test_polygons_survive_tables_and_pickles(tmp_path):
     ],
 )
 def test_bad_polygons_are_refused(polygons, sentence):
-    with pytest.raises(rs.InputError, match=sentence):
-        rs.FocalPlane([[0, 0]] * u.mm, SEGMENT, obstacle_polygons=polygons)
+    refused(sentence, rs.FocalPlane, [[0, 0]] * u.mm, SEGMENT, obstacle_polygons=polygons)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from raising import warned
 
 import rfpsurvey as rs
 
@@ -59,8 +60,7 @@ def test_missing_fibers_of_petals_are_named_in_plans_and_surveys(sky, petals):
     assert len(lacking) > 1
     where = f"in each petal: {missing} missing in {len(lacking)} petals ({', '.join(map(str, lacking))})"
     assert tile.summary["unmet"][0].startswith(f"sky targets, 3 {where}")
-    with pytest.warns(rs.RfpsurveyWarning, match=f"sky=3/petal: {missing} missing"):
-        survey = rs.plan_survey(few, petals, CENTER, allocator=asked)
+    survey = warned(f"sky=3/petal: {missing} missing", rs.plan_survey, few, petals, CENTER, allocator=asked)
     assert survey.tiles["unmet"].tolist() == [f"sky=3/petal: {missing} missing"]
 
 

@@ -10,6 +10,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from configurations import places, stars_around
+from raising import refused
 from shapely import Point, Polygon
 
 import rfpsurvey as rs
@@ -280,5 +281,4 @@ def test_cameras_of_a_file_are_validated(value, unit, message, tmp_path):
         corners = rs.Instrument.read(path).cameras["north"]
         np.testing.assert_allclose(corners, np.array(value) * (10 if unit == '"cm"' else 1))
     else:
-        with pytest.raises(rs.InputError, match=re.escape(message)):
-            rs.Instrument.read(path)
+        refused(re.escape(message), rs.Instrument.read, path)

@@ -2,6 +2,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.constraints import Motion, as_constraints
@@ -31,8 +32,7 @@ def test_the_text_form_contains_the_law_of_time():
     ],
 )
 def test_wrong_text_is_refused(text, message):
-    with pytest.raises(rs.InputError, match=message):
-        as_constraints(text)
+    refused(message, as_constraints, text)
 
 
 def test_plans_with_safe_motion_need_no_path_planner_and_state_it(sky):

@@ -3,6 +3,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from raising import refused
 
 import rfpsurvey as rs
 from oracles import annuli_coverage, in_annulus
@@ -43,11 +44,9 @@ def test_footprint_is_the_hexagon_of_centers():
 @pytest.mark.parametrize("centers", [[[0, 0]], [[0, 0], [9, 9]], [[0, 0], [20, 20], [40, 40]]])
 def test_centers_on_a_line_have_no_footprint(centers):
     line = rs.FocalPlane(centers * MM, plane().positioner)
-    with pytest.raises(rs.InputError, match="three centers that are not on a line"):
-        line.coverage()
+    refused("three centers that are not on a line", line.coverage)
 
 
 @pytest.mark.parametrize("n_points", [0, 1.5, True, 2**27, "many"])
 def test_points_are_a_whole_number(n_points):
-    with pytest.raises(rs.InputError, match="n_points must be a whole number from 1"):
-        plane().coverage(n_points=n_points)
+    refused("n_points must be a whole number from 1", lambda: plane().coverage(n_points=n_points))

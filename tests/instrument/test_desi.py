@@ -10,6 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
 from numpy.testing import assert_allclose, assert_array_equal
+from raising import refused, warned
 
 import rfpsurvey as rs
 from damaged_files import FINE, damage, outcome
@@ -368,8 +369,7 @@ def test_exclusions_that_expand_in_memory_are_refused(folder, monkeypatch):
     path.write_text(f"segment: &a [[1, 1], [2, 2]]\nmany: &b [{'*a,' * 500}]\ndefault: [{'*b,' * 500}]\n")
     plane = folder / "desi-focalplane_2020-01-01T00:00:00.ecsv"
     monkeypatch.setattr("rfpsurvey.instrument._desi_state.MOST_VALUES", 50_000)
-    with pytest.raises(rs.InputError, match=r"bad\.yaml: there must be at most 50000 values, got more"):
-        rs.Instrument.from_desi(plane, exclusions=path)
+    refused(r"bad\.yaml: there must be at most 50000 values, got more", rs.Instrument.from_desi, plane, exclusions=path)
 
 
 @partial
@@ -388,10 +388,8 @@ def test_exclusions_that_are_not_polygons_are_refused(folder):
         ('{"default": {"phi": {"segments": [], "circles": [[[0, 0], 1e9]]}}}', "below 10 mm, got 1e[+]09"),
     ):
         (folder / "bad.json").write_text(content)
-        with pytest.raises(rs.errors.InputError, match=sentence):
-            rs.Instrument.from_desi(plane, exclusions=folder / "bad.json")
-    with pytest.raises(rs.errors.InputError, match="there is no such file"):
-        rs.Instrument.from_desi(plane, exclusions=folder / "none.json")
+        refused(sentence, rs.Instrument.from_desi, plane, exclusions=folder / "bad.json")
+    refused("there is no such file", rs.Instrument.from_desi, plane, exclusions=folder / "none.json")
 
 
 @partial
@@ -410,16 +408,14 @@ def test_arguments_that_do_not_fit_are_refused(folder):
         with pytest.raises(rs.errors.InputError, match=sentence):
             rs.Instrument.from_desi(path, **options)
     (folder / "empty").mkdir()
-    with pytest.raises(rs.errors.InputError, match="must have a file desi-focalplane_DATE.ecsv, got none"):
-        rs.Instrument.from_desi(folder / "empty")
+    refused("must have a file desi-focalplane_DATE.ecsv, got none", rs.Instrument.from_desi, folder / "empty")
 
 
 def test_an_incomplete_focal_plane_is_reported(tmp_path):
     desi_files.metrology(tmp_path / "fp.csv")
     lines = (tmp_path / "fp.csv").read_text().splitlines(keepends=True)
     (tmp_path / "cut.csv").write_text("".join(lines[:4000]))
-    with pytest.warns(rs.errors.RfpsurveyWarning, match="DESI has 5000 positioners, but the file has 3999"):
-        rs.Instrument.from_desi(tmp_path / "cut.csv")
+    warned("DESI has 5000 positioners, but the file has 3999", rs.Instrument.from_desi, tmp_path / "cut.csv")
     content = gzip.compress((tmp_path / "fp.csv").read_bytes())
     (tmp_path / "cut.csv.gz").write_bytes(content[: len(content) // 2])
     with pytest.raises(rs.errors.InputError, match=r"cut.csv.gz cannot be read: EOFError: Compressed file ended"):
@@ -476,9 +472,7 @@ def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
 
 
 def test_a_folder_with_a_metrology_or_without_an_instrument(tmp_path):
-    with pytest.raises(rs.InputError, match=r"must contain positionerTable.csv .* got none of them"):
-        rs.Instrument.read(tmp_path)
+    refused(r"must contain positionerTable.csv .* got none of them", rs.Instrument.read, tmp_path)
     path = tmp_path / "fp-metrology.csv"
     path.write_text("PETAL_LOC,DEVICE_LOC,DEVICE_TYPE,X_FP,Y_FP,LOCATION\n")
-    with pytest.raises(rs.InputError, match="fp-metrology.csv"):
-        rs.Instrument.read(tmp_path)
+    refused("fp-metrology.csv", rs.Instrument.read, tmp_path)

@@ -6,6 +6,7 @@ from dataclasses import replace
 import astropy.units as u
 import pytest
 from astropy.table import QTable, Table
+from raising import refused
 
 import rfpsurvey as rs
 
@@ -41,11 +42,9 @@ def test_states_margins_and_distortion_maps_are_restored_exactly(tmp_path):
 def test_the_path_is_checked(tmp_path):
     lamost = rs.Instrument.preset("lamost")
     lamost.write(tmp_path / "lamost.ecsv")
-    with pytest.raises(rs.InputError, match="exists"):
-        lamost.write(tmp_path / "lamost.ecsv")
+    refused("exists", lamost.write, tmp_path / "lamost.ecsv")
     lamost.write(tmp_path / "lamost.ecsv", overwrite=True)
-    with pytest.raises(rs.InputError, match=r"must end in \.ecsv"):
-        lamost.write(tmp_path / "lamost.fits")
+    refused(r"must end in \.ecsv", lamost.write, tmp_path / "lamost.fits")
 
 
 def break_entry(table, **changes):

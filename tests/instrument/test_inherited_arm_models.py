@@ -1,6 +1,7 @@
 """Descriptions in TOML files that inherit from a preset and select another published shape of its arms."""
 
 import pytest
+from raising import refused
 
 import rfpsurvey as rs
 
@@ -75,13 +76,11 @@ def test_a_chain_of_files_can_return_to_the_outline(tmp_path, presets):
     ],
 )
 def test_shapes_that_are_not_there_are_refused(tmp_path, preset, model, text):
-    with pytest.raises(rs.InputError, match=rf"mine\.toml: {text}"):
-        mine(tmp_path, preset, arm_model=f'value = "{model}"')
+    refused(rf"mine\.toml: {text}", mine, tmp_path, preset, arm_model=f'value = "{model}"')
 
 
 @pytest.mark.parametrize("entry", ["3", '"outline"', "{ status = 'assumed' }", "[]"])
 def test_a_malformed_entry_is_refused(tmp_path, entry):
     path = tmp_path / "mine.toml"
     path.write_text(f'{TOP}inherits = "desi"\n[positioner]\narm_model = {entry}\n')
-    with pytest.raises(rs.InputError, match=r"mine\.toml: positioner\.arm_model must"):
-        rs.Instrument.read(path)
+    refused(r"mine\.toml: positioner\.arm_model must", rs.Instrument.read, path)

@@ -7,6 +7,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.instrument import as_instrument
@@ -202,12 +203,10 @@ def test_bad_descriptions_are_named(tmp_path, content, message):
 
 
 def test_unknown_names_list_the_choices(tmp_path):
-    with pytest.raises(
-        rs.InputError, match="unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'"
-    ):
-        rs.Instrument.preset("lamst")
-    with pytest.raises(rs.InputError, match="there is no such file"):
-        rs.Instrument.read(tmp_path / "missing.toml")
+    refused(
+        "unknown instrument 'lamst'; choose one of: .*lamost.* Did you mean 'lamost'", rs.Instrument.preset, "lamst"
+    )
+    refused("there is no such file", rs.Instrument.read, tmp_path / "missing.toml")
 
 
 def test_the_description_in_the_documentation_works(tmp_path):
@@ -218,8 +217,7 @@ def test_the_description_in_the_documentation_works(tmp_path):
     mine = rs.Instrument.read(path)
     assert len(mine.focal_plane) == 469
     (tmp_path / "wider.toml").write_text('inherits = "mine"\nname = "wider"\n[layout]\nrings.value = 2\n')
-    with pytest.raises(rs.InputError, match="layout.rings must have a status, got only value"):
-        rs.Instrument.read(tmp_path / "wider.toml")
+    refused("layout.rings must have a status, got only value", rs.Instrument.read, tmp_path / "wider.toml")
     rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
     (tmp_path / "wider.toml").write_text(f'inherits = "mine"\nname = "wider"\n[layout]\n{rings}')
     assert len(rs.Instrument.read(tmp_path / "wider.toml").focal_plane) == 19
@@ -249,8 +247,7 @@ def test_what_tiles_of_each_preset_must_hold(presets):
 def test_descriptions_of_a_later_form_are_refused(tmp_path):
     text = (Path(rs.__file__).parent / "presets" / "lamost.toml").read_text()
     (tmp_path / "later.toml").write_text(text.replace("schema = 1", "schema = 2"))
-    with pytest.raises(rs.InputError, match="schema must be 1, the only schema .* reads, got 2"):
-        rs.Instrument.read(tmp_path / "later.toml")
+    refused("schema must be 1, the only schema .* reads, got 2", rs.Instrument.read, tmp_path / "later.toml")
 
 
 def test_copies_for_other_processes_leave_out_what_is_computed():

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.errors import InputError
@@ -62,8 +63,7 @@ def test_a_file_of_dots_is_recognized_by_its_content(folder, tmp_path):
     path.write_text((folder / DOTS).read_text())
     assert rs.Instrument.read(path).layout == "as built"
     path.write_text("x,y\n1,2\n")
-    with pytest.raises(InputError, match="cannot be read as TOML"):
-        rs.Instrument.read(path)
+    refused("cannot be read as TOML", rs.Instrument.read, path)
 
 
 def test_files_in_the_folders_of_the_repository_are_found(folder, tmp_path):
@@ -343,12 +343,9 @@ def test_damaged_models_are_refused_with_one_sentence(folder, model, tmp_path, d
 
 
 def test_files_that_do_not_exist_are_refused(folder, tmp_path):
-    with pytest.raises(InputError, match="there is no such file"):
-        rs.Instrument.from_pfs(folder / "none.csv")
-    with pytest.raises(InputError, match="there is no such file"):
-        rs.Instrument.from_pfs(folder / DOTS, cobras=folder / "none.xml")
-    with pytest.raises(InputError, match=r"must have a file black_dots_mm\*\.csv"):
-        rs.Instrument.from_pfs(tmp_path)
+    refused("there is no such file", rs.Instrument.from_pfs, folder / "none.csv")
+    refused("there is no such file", rs.Instrument.from_pfs, folder / DOTS, cobras=folder / "none.xml")
+    refused(r"must have a file black_dots_mm\*\.csv", rs.Instrument.from_pfs, tmp_path)
 
 
 def test_the_real_files_agree_with_each_other(real_data):

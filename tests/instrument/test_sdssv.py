@@ -11,6 +11,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from numpy.testing import assert_allclose, assert_array_equal
+from raising import refused, warned
 
 import rfpsurvey as rs
 import sdssv_files
@@ -91,8 +92,7 @@ def test_only_two_files_are_required(folder):
     for name in ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation"):
         assert f"There is no {name}.csv" in inst.notes
     (folder / "wokCoords.csv").unlink()
-    with pytest.raises(rs.InputError, match=r"wokCoords.csv: there is no such file"):
-        rs.Instrument.read(folder)
+    refused(r"wokCoords.csv: there is no such file", rs.Instrument.read, folder)
 
 
 def test_las_campanas_takes_the_other_preset(tmp_path):
@@ -195,8 +195,7 @@ def test_impossible_radial_maps_are_refused(folder, column):
     rows = [line.split(",") for line in sdssv_files.MODEL.format("APO").splitlines()]
     rows[2][rows[1].index(column)] = "-999"
     (folder / "focalPlaneModel.csv").write_text("\n".join(",".join(row) for row in rows) + "\n")
-    with pytest.raises(rs.InputError, match=r"focalPlaneModel.csv: .*row 1"):
-        rs.Instrument.read(folder)
+    refused(r"focalPlaneModel.csv: .*row 1", rs.Instrument.read, folder)
 
 
 def place_link(path):
@@ -226,21 +225,18 @@ def test_optional_files_that_cannot_be_read_are_refused(folder, name, place):
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="every file is readable for this user")
 def test_optional_files_without_permission_are_refused(folder):
     (folder / "fiducialCoords.csv").chmod(0)
-    with pytest.raises(rs.InputError, match=r"fiducialCoords.csv cannot be read"):
-        rs.Instrument.read(folder)
+    refused(r"fiducialCoords.csv cannot be read", rs.Instrument.read, folder)
 
 
 def test_robots_can_be_disabled(folder):
     plane = rs.Instrument.from_sdssv(folder, disabled=["R0C13"]).focal_plane
     assert plane.id[plane.disabled].tolist() == ["R0C13"]
-    with pytest.raises(rs.InputError, match="unknown robot to disable 'R9C9'"):
-        rs.Instrument.from_sdssv(folder, disabled=["R9C9"])
+    refused("unknown robot to disable 'R9C9'", rs.Instrument.from_sdssv, folder, disabled=["R9C9"])
 
 
 def test_a_shifted_wok_gives_a_warning(tmp_path):
     folder = sdssv_files.calibration(tmp_path / "tilt", wokOrientation=lambda rows: [{**rows[0], "xTilt": 0.01}])
-    with pytest.warns(rs.RfpsurveyWarning, match=r"the wok is shifted or tilted \(xTilt = 0.01\)"):
-        inst = rs.Instrument.read(folder)
+    inst = warned(r"the wok is shifted or tilted \(xTilt = 0.01\)", rs.Instrument.read, folder)
     assert "xTilt = 0.01" in inst.notes
 
 
@@ -264,11 +260,9 @@ def test_two_sites_need_a_choice(tmp_path):
     folder = sdssv_files.calibration(tmp_path / "both", **dict.fromkeys(names, both))
     model = folder / "focalPlaneModel.csv"
     model.write_text(model.read_text() + "".join(sdssv_files.MODEL_LCO.splitlines(keepends=True)[1:]))
-    with pytest.raises(rs.InputError, match=r"positionerTable.csv: site must be one of APO, LCO"):
-        rs.Instrument.read(folder)
+    refused(r"positionerTable.csv: site must be one of APO, LCO", rs.Instrument.read, folder)
     assert rs.Instrument.from_sdssv(folder, site="LCO").name == "sdss_lco"
-    with pytest.raises(rs.InputError, match="site must be APO or LCO, got 'KPNO'"):
-        rs.Instrument.from_sdssv(folder, site="KPNO")
+    refused("site must be APO or LCO, got 'KPNO'", rs.Instrument.from_sdssv, folder, site="KPNO")
 
 
 BAD = {
@@ -356,10 +350,8 @@ def test_a_table_that_ends_early_gives_a_warning(tmp_path):
 
 
 def test_a_folder_without_the_table_of_robots_is_refused(tmp_path):
-    with pytest.raises(rs.InputError, match="positionerTable"):
-        rs.Instrument.from_sdssv(tmp_path)
-    with pytest.raises(rs.InputError, match="there is no such folder"):
-        rs.Instrument.from_sdssv(tmp_path / "nothing")
+    refused("positionerTable", rs.Instrument.from_sdssv, tmp_path)
+    refused("there is no such folder", rs.Instrument.from_sdssv, tmp_path / "nothing")
 
 
 def positions_and_angles(plane, plan, fiber):
@@ -415,8 +407,7 @@ def test_robots_without_angles_are_those_whose_target_is_out_of_reach_as_built(r
     tile = rs.score_tile(plan, rs.Instrument.read(real_data("sdssv_apo_2024")))
     assert set(tile["id"][tile["status"] == "out_of_reach"]) == NO_ANGLES
     assert tile.summary["n_assigned"] == 500
-    with pytest.warns(rs.RfpsurveyWarning, match="arms are nominal: score the plan with the instrument as built"):
-        nominal = rs.score_tile(plan, "sdss_apo")
+    nominal = warned("arms are nominal: score the plan with the instrument as built", rs.score_tile, plan, "sdss_apo")
     assert nominal.summary["n_out_of_reach"] == 2
 
 

@@ -8,6 +8,7 @@ from astropy.coordinates import FK5, SkyCoord
 from astropy.io import fits
 from astropy.time import Time
 from numpy.testing import assert_array_equal
+from raising import refused, warned
 
 import rfpsurvey as rs
 import sdssv_files
@@ -51,8 +52,7 @@ def test_priorities_of_a_fiberassign_file_keep_their_order_and_values(desi, tmp_
     plan = plans.read_plan(path)
     assert_array_equal(plan["priority"][has], given[has])
     if kind != "integers":  # the plan is written without a loss again, and also with priorities that are integers
-        with pytest.warns(rs.RfpsurveyWarning, match="PRIORITY contains ranks"):
-            plans.write_plan(plan, tmp_path / "again.fits", format="fiberassign")
+        warned("PRIORITY contains ranks", plans.write_plan, plan, tmp_path / "again.fits", format="fiberassign")
         assert_array_equal(plans.read_plan(tmp_path / "again.fits")["priority"], plan["priority"])
         plan["priority"] = np.arange(len(plan), dtype=float)
         plans.write_plan(plan, tmp_path / "whole.fits", format="fiberassign")
@@ -79,8 +79,7 @@ def test_values_that_an_integer_column_cannot_represent_are_refused(tmp_path, re
     plan = plans.read_plan(path)
     plan[name] = np.full(len(plan), value)
     new = tmp_path / f"new{'.par' if format_ == 'confsummary' else '.fits'}"
-    with pytest.raises(rs.InputError, match=f"{name}'? .*must be whole numbers from -.*, got"):
-        plans.write_plan(plan, new, format=format_)
+    refused(f"{name}'? .*must be whole numbers from -.*, got", plans.write_plan, plan, new, format=format_)
     assert not new.exists()
 
 
@@ -89,16 +88,14 @@ def test_identifiers_that_are_no_64_bit_integers_are_refused(tmp_path, real_data
     """Large identifiers became other integers, or raised an OverflowError."""
     plan = plans.read_plan(real_data("pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"))
     plan["target_id"] = np.full(len(plan), ids)
-    with pytest.raises(rs.InputError, match="objId' of DESIGN must be whole numbers"):
-        plans.write_plan(plan, tmp_path / "new.fits", format="pfsdesign")
+    refused("objId' of DESIGN must be whole numbers", plans.write_plan, plan, tmp_path / "new.fits", format="pfsdesign")
 
 
 def test_the_code_for_missing_numbers_identifies_no_target(tmp_path):
     pytest.importorskip("pydl", reason="pydl is not installed")
     plan = plans.read_plan(sdssv_files.configuration(tmp_path / "a.par"))
     plan["target_id"] = np.where(plan["assigned"], -999, -1)
-    with pytest.raises(rs.InputError, match="catalogid must differ from -999"):
-        plans.write_plan(plan, tmp_path / "b.par")
+    refused("catalogid must differ from -999", plans.write_plan, plan, tmp_path / "b.par")
 
 
 def test_columns_of_a_tile_are_copied_to_a_design_or_named(tmp_path, presets):

@@ -5,6 +5,7 @@ import numpy as np
 import pfs_files
 import pytest
 from astropy.table import vstack
+from raising import refused
 
 import rfpsurvey as rs
 import sdssv_files
@@ -38,8 +39,7 @@ def test_plans_with_repeated_fibers_are_not_written(tmp_path, make, message):
     plan = plans.read_plan(make(tmp_path / "plan"))
     twice = vstack([plan, plan[:1]], metadata_conflicts="silent")
     new = tmp_path / f"new{make(tmp_path / 'other').suffix}"
-    with pytest.raises(rs.InputError, match=f"{new}: {message}"):
-        plans.write_plan(twice, new)
+    refused(f"{new}: {message}", plans.write_plan, twice, new)
     assert not new.exists()
 
 

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import shapely
+from raising import refused
 from scipy import stats
 
 import rfpsurvey as rs
@@ -107,8 +108,7 @@ def test_the_pitch_is_the_distance_of_first_neighbors():
 def test_the_printed_formula_has_no_area_for_equal_arms():
     words = "if the arms have equal lengths: the outer radius l2 - l1 . d is a misprint for l1 . l2 . d"
     for plane in (lamost_like(1), replace(lamost_like(1), eccentric_arm=([8.25] * 6 + [16]) * MM)):
-        with pytest.raises(rs.InputError, match=words):
-            rs.collision_probability(plane, method="closed_form", variant="printed")
+        refused(words, rs.collision_probability, plane, method="closed_form", variant="printed")
 
 
 def test_the_printed_formula_works_for_unequal_arms():
@@ -207,5 +207,4 @@ def test_formulas_that_need_a_clearance_refuse_outlines(presets, method):
 
 def test_the_closed_form_refuses_arms_of_which_only_the_fibers_collide():
     plane = sdss_like(2, arm_model="fiber_tip")
-    with pytest.raises(rs.InputError, match="must be elbow_to_tip or capsule .* got 'fiber_tip'"):
-        rs.collision_probability(plane, method="closed_form")
+    refused("must be elbow_to_tip or capsule .* got 'fiber_tip'", rs.collision_probability, plane, method="closed_form")

@@ -5,6 +5,7 @@ from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 import astropy.units as u
 import numpy as np
 import pytest
+from raising import refused, warned
 from scipy import stats
 
 import flat
@@ -142,10 +143,8 @@ def test_the_midpoint_with_iterations_as_trials_is_the_estimator_of_the_paper():
     assert paper.value == pytest.approx((paper.low + paper.high) / 2)
     assert paper.standard_error == mean.standard_error
     assert (paper.meta["estimator"], "estimator" in mean.meta) == ("midpoint", False)
-    with pytest.warns(rs.RfpsurveyWarning, match="estimator"):
-        flat.collision_probability(plane, method="quadrature", estimator="midpoint", max_iterations=64)
-    with pytest.raises(rs.InputError, match="unknown estimator"):
-        Precision(estimator="median")
+    warned("estimator", flat.collision_probability, plane, method="quadrature", estimator="midpoint", max_iterations=64)
+    refused("unknown estimator", Precision, estimator="median")
 
 
 @pytest.mark.few(1)

@@ -3,6 +3,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.probability._quadrature import environments
@@ -71,13 +72,11 @@ def test_arms_that_cannot_touch_never_collide():
     ],
 )
 def test_the_surrogate_does_not_extrapolate(design, words):
-    with pytest.raises(rs.InputError, match=words):
-        rs.probability.surrogate_probability(*(v * MM for v in design))
+    refused(words, lambda: rs.probability.surrogate_probability(*(v * MM for v in design)))
 
 
 def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
-    with pytest.raises(rs.InputError, match="central_arm must be a Quantity"):
-        rs.probability.surrogate_probability(8, 8 * MM, 25 * MM, 4 * MM)
+    refused("central_arm must be a Quantity", rs.probability.surrogate_probability, 8, 8 * MM, 25 * MM, 4 * MM)
     with pytest.raises(rs.InputError, match="shapes that can be broadcast"):
         rs.probability.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
 
@@ -99,8 +98,7 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
         few["minimum separation over pitch"][1] * PITCH * MM,
     )
     assert risk[1, 1, 1] == pytest.approx(shipped, abs=0.02)
-    with pytest.raises(rs.InputError, match="exists"):
-        _surrogate.make_surrogate(tmp_path / "some.npz")
+    refused("exists", _surrogate.make_surrogate, tmp_path / "some.npz")
 
 
 def test_environments_of_an_irregular_plane_are_all_different(rng):

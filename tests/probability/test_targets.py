@@ -4,6 +4,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 from scipy import stats
 from scipy.spatial import cKDTree
 
@@ -269,8 +270,7 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
     ],
 )
 def test_bad_targets_are_named(options, words):
-    with pytest.raises(rs.InputError, match=words):
-        flat.collision_probability(lamost_like(1), max_iterations=4, **options)
+    refused(words, lambda: flat.collision_probability(lamost_like(1), max_iterations=4, **options))
 
 
 def test_an_empty_catalog_has_no_mean_direction():
