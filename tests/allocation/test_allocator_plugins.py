@@ -122,11 +122,7 @@ LIMITED = replace(PAIR, positioner=replace(ROBOT, handedness="both", phi_range=[
 @pytest.mark.parametrize(
     ("plane", "answer", "words"),
     [
-        (
-            PAIR,
-            None,
-            r"whole numbers of the shape \(2,\).* got NoneType of the shape \(\)",
-        ),
+        (PAIR, None, r"whole numbers of the shape \(2,\).* got NoneType of the shape \(\)"),
         (PAIR, [0, 2, -1], r"got list of the shape \(3,\)"),
         (PAIR, np.array([[0, 2]]), r"got ndarray of the shape \(1, 2\)"),
         (PAIR, np.array([0.0, 2.0]), "must return the row of the target"),

@@ -31,10 +31,7 @@ SCENES = {
     "fiber tips": (lambda: hexagon(11, 7, 7, 2, arm_model="fiber_tip"), "same_speed"),
     "left": (lambda: hexagon(22, 8, 14, 2, handedness="left"), "same_duration"),
     "limited": (lambda: hexagon(26, 8, 17, 2, phi_range=[-5, 165] * u.deg), "same_duration"),
-    "broken": (
-        lambda: hexagon(25, 8, 17, 2, stuck=STUCK * u.deg, disabled=np.arange(7) == 5),
-        "same_duration",
-    ),
+    "broken": (lambda: hexagon(25, 8, 17, 2, stuck=STUCK * u.deg, disabled=np.arange(7) == 5), "same_duration"),
     "obstacles": (lambda: hexagon(25, 8, 17, 2, obstacles=[[12.5, 7.2, 1], [0, -14.4, 1.5]] * MM), "same_speed"),
     "outlines": (lambda: hexagon(8.5, 3, 3, 0.1, positioner=DESI_LIKE), "same_duration"),
 }

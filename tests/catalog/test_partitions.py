@@ -216,15 +216,7 @@ def test_epochs_of_partitions_may_differ(small, tmp_path):
     """The first partition contains a slow star of this century, and the last partition a fast star of 1800."""
     for number, (ra, dec, epoch, speed) in enumerate([(45.0, 2.0, 2016.0, 0.0), (100.0, -60.0, 1800.0, 10_000.0)]):
         name = {0: "Norder=4/Npix=0.parquet", 1: "Norder=4/Npix=2218.parquet"}[number]
-        write(
-            tmp_path / "sky" / name,
-            ra=[ra],
-            dec=[dec],
-            pmra=[0.0],
-            pmdec=[speed],
-            ref_epoch=[epoch],
-            id=[number],
-        )
+        write(tmp_path / "sky" / name, ra=[ra], dec=[dec], pmra=[0.0], pmdec=[speed], ref_epoch=[epoch], id=[number])
     with pytest.raises(rs.InputError, match="all targets must lie inside the HEALPix pixel"):
         rs.plan_survey(rs.catalog.PartitionedCatalog(tmp_path / "sky"), small, TILES)
     place = SkyCoord([45.0, 100.0] * u.deg, [2.0, -60.0] * u.deg)

@@ -143,10 +143,7 @@ def test_nothing_to_count():
         ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
         ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
         ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
-        (
-            {"tips": np.zeros((2, 7, 2)) * MM},
-            "configuration 0: 6 tips are out of reach; the first is the tip of",
-        ),
+        ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach; the first is the tip of"),
         (
             {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
             "n_configurations can be given only with an Allocation",
@@ -164,10 +161,7 @@ def test_bad_draws_are_named():
     xy = plane.xy + 1 * MM
     with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
         rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
-    with pytest.raises(
-        rs.InputError,
-        match="such as those by 'balanced', got an allocation by 'lamost_rule'",
-    ):
+    with pytest.raises(rs.InputError, match="such as those by 'balanced', got an allocation by 'lamost_rule'"):
         rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule"), n_configurations=3)
     with pytest.raises(
         rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"

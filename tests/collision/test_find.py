@@ -265,10 +265,7 @@ def test_the_fold_bound_is_sharp():
         ({}, "either tips, or both theta and phi, must be given"),
         ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
         ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
-        (
-            {"tips": [[3, 0], [30, 0]] * MM, "method": "guess"},
-            "unknown collision method 'guess'; choose one of: ",
-        ),
+        ({"tips": [[3, 0], [30, 0]] * MM, "method": "guess"}, "unknown collision method 'guess'; choose one of: "),
         ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness of an arm 'up'"),
     ],
 )

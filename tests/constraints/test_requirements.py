@@ -163,10 +163,7 @@ def test_blanks_do_not_matter():
     assert rs.Requirement.parse(" sky = 3 - 4 / spectrograph") == rs.Requirement("sky", 3, 4, "spectrograph")
 
 
-@pytest.mark.parametrize(
-    ("what", "hint"),
-    [("brihgt", "; did you mean 'bright'?"), ("sky", ""), ("zzz", "")],
-)
+@pytest.mark.parametrize(("what", "hint"), [("brihgt", "; did you mean 'bright'?"), ("sky", ""), ("zzz", "")])
 def test_a_name_that_no_target_has_is_guessed_at(what, hint):
     unit = rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm)
     plane = rs.FocalPlane([[0, 0]] * u.mm, unit)

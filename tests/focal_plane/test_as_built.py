@@ -242,10 +242,7 @@ def test_measured_arms_that_are_nominally_equal_are_parked():
 def test_home_and_stuck_poses_count_from_the_zero_points():
     robot = rs.Positioner(3 * MM, 3 * MM, 0.5 * MM, home=[10, 120] * DEG)
     plane = rs.FocalPlane(
-        [[0, 0], [7, 0]] * MM,
-        robot,
-        zero_points=[[-90, 5], [30, 0]] * DEG,
-        stuck=[[np.nan, np.nan], [60, 45]] * DEG,
+        [[0, 0], [7, 0]] * MM, robot, zero_points=[[-90, 5], [30, 0]] * DEG, stuck=[[np.nan, np.nan], [60, 45]] * DEG
     )
     idle = plane.arrays.idle(True)
     np.testing.assert_allclose(np.rad2deg([idle.theta, idle.phi]), [[10, 60], [120, 45]])

@@ -68,11 +68,7 @@ def test_a_chain_of_files_can_return_to_the_outline(tmp_path, presets):
     [
         ("lamost", "outline", "outline must be given for the arm model 'outline'"),
         ("desi", "capsule", "arm_length must be given for the arm model 'capsule'"),
-        (
-            "desi",
-            "square",
-            "positioner.arm_model must be one of elbow_to_tip, .*, outline, got 'square'",
-        ),
+        ("desi", "square", "positioner.arm_model must be one of elbow_to_tip, .*, outline, got 'square'"),
     ],
 )
 def test_shapes_that_are_not_there_are_refused(tmp_path, preset, model, text):

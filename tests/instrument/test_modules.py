@@ -258,10 +258,7 @@ ONE = MODULES % "[[0, 0, 0]]" + "\n"
             'focal_surface = { value = [[1, 0], [2, 0], [300, 1]], unit = "mm" }',
             "the points of the focal surface must begin at R = 0",
         ),
-        (
-            ONE + 'module_wall = { value = 1, unit = "mm" }',
-            "walls must be given with the outline of a module",
-        ),
+        (ONE + 'module_wall = { value = 1, unit = "mm" }', "walls must be given with the outline of a module"),
         (
             ONE + "module_classes = { value = { LR = {}, HR = { places = [64] } } }",
             "places of 'HR' must be numbers from 1 to 63, got 64",

@@ -273,11 +273,7 @@ BAD = {
         "the table must have the column 'alphaArmLen'",
     ),
     "text": ("positionerTable", changed("R0C13", dx="far"), "column 'dx' must hold numbers, .*'far'"),
-    "infinite": (
-        "positionerTable",
-        changed("R0C13", dx="inf"),
-        "'dx' must hold finite .*, got 'inf' in row 5",
-    ),
+    "infinite": ("positionerTable", changed("R0C13", dx="inf"), "'dx' must hold finite .*, got 'inf' in row 5"),
     "twice": (
         "positionerTable",
         lambda rows: [*rows, rows[0]],
@@ -288,17 +284,9 @@ BAD = {
     "no position": ("wokCoords", changed("R0C13", xWok=""), "'xWok' must hold finite numbers .*, got '' in row 3"),
     "code of a position": ("wokCoords", changed("R0C13", yWok=-999.0), "'yWok' must hold .*, got '-999.0' in row 3"),
     "small code": ("wokCoords", changed("R0C13", yWok=99), "'yWok' must hold .*, got '99.0' in row 3"),
-    "another hole": (
-        "wokCoords",
-        changed("R0C13", xWok=0, yWok=0),
-        r"within 5 mm .* \[0.0, 0.0\] for R0C13 in row 3",
-    ),
+    "another hole": ("wokCoords", changed("R0C13", xWok=0, yWok=0), r"within 5 mm .* \[0.0, 0.0\] for R0C13 in row 3"),
     "code of a fiducial": ("fiducialCoords", changed("R-2C12", yWok=-99), "'yWok' must hold .*, got '-99.0' in row 1"),
-    "code of a shift": (
-        "wokOrientation",
-        lambda rows: [{**rows[0], "x": -999}],
-        "'x' must hold .* '-999' in row 1",
-    ),
+    "code of a shift": ("wokOrientation", lambda rows: [{**rows[0], "x": -999}], "'x' must hold .* '-999' in row 1"),
     "tilted robot": ("wokCoords", changed("R0C13", iz=0.1), "must stand perpendicular to the focal plane"),
     "mirrored robot": ("wokCoords", changed("R0C13", jx=-1), "must stand perpendicular to the focal plane"),
     "fibers twice": ("fiberAssignments", lambda rows: [*rows, rows[0]], "must be unique"),
@@ -396,10 +384,7 @@ def test_positions_of_real_configurations_follow_from_their_joint_angles(
             assert np.abs((back[1] - phi).value)[compared].max() < beta
 
 
-NO_ANGLES = {
-    *("R-12C5", "R-10C5", "R-5C8", "R-2C17", "R0C1"),
-    *("R+3C5", "R+9C5", "R+9C10", "R+13C1", "R+13C11"),
-}
+NO_ANGLES = {*("R-12C5", "R-10C5", "R-5C8", "R-2C17", "R0C1"), *("R+3C5", "R+9C5", "R+9C10", "R+13C1", "R+13C11")}
 
 
 def test_robots_without_angles_are_those_whose_target_is_out_of_reach_as_built(real_data):

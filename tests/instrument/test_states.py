@@ -171,36 +171,21 @@ def test_a_second_table_replaces_states(small, file):
     ("columns", "text"),
     [
         ({"name": [1]}, "states: the table must have the column 'id', got name"),
-        (
-            {"id": [1, 99, -1]},
-            "states: id must be identifiers of positioners of small, such as 0, 1, 2, got '99', '-1",
-        ),
+        ({"id": [1, 99, -1]}, "states: id must be identifiers of positioners of small, such as 0, 1, 2, got '99', '-1"),
         ({"id": np.arange(100, 113)}, "'109' and 3 more$"),
         ({"id": [[1, 2]]}, "column 'id' must have one value per row"),
         ({"id": [1], "state": ["gone"]}, "unknown state in states 'gone'; choose one of: broken, ok, restored, stuck"),
         ({"id": [1], "state": [2]}, "unknown state in states '2'"),
-        (
-            {"id": [1], "state": ["stuck"]},
-            "must have both values for a positioner that is stuck, got none",
-        ),
-        (
-            {"id": [1], "theta": [5.0]},
-            "must have both values or none for a positioner that is broken, got 5",
-        ),
+        ({"id": [1], "state": ["stuck"]}, "must have both values for a positioner that is stuck, got none"),
+        ({"id": [1], "theta": [5.0]}, "must have both values or none for a positioner that is broken, got 5"),
         ({"id": [1], "state": ["ok"], "theta": [5], "phi": [5]}, "must have no values for a positioner that is ok"),
         ({"id": [1], "theta": [5], "phi": [500]}, "column 'phi' must hold angles from -400 to 400 deg, got 500"),
         ({"id": [1], "theta": ["east"], "phi": ["x"]}, "column 'theta' must hold angles in degrees"),
         ({"id": [1], "theta": [5] * u.mm, "phi": [5] * u.deg}, "'theta' must have a unit convertible to deg, got mm"),
-        (
-            {"id": [1], "from": ["yesterday"]},
-            "'from' must hold Julian dates, or .* '2021-05-14T00:00:00', got 'yes",
-        ),
+        ({"id": [1], "from": ["yesterday"]}, "'from' must hold Julian dates, or .* '2021-05-14T00:00:00', got 'yes"),
         ({"id": [1], "to": [2026]}, "column 'to' must hold Julian dates, or .*, got 2026"),
         ({"id": [1], "to": ["2026"]}, "column 'to' must hold Julian dates, or .*, got 2026"),
-        (
-            {"id": [1], "from": ["2026-05-01"], "to": ["2026-05-01"]},
-            "to must be later than from, got 2026-05-01T",
-        ),
+        ({"id": [1], "from": ["2026-05-01"], "to": ["2026-05-01"]}, "to must be later than from, got 2026-05-01T"),
     ],
 )
 def test_wrong_tables_are_refused(small, columns, text):

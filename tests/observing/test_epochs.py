@@ -74,11 +74,7 @@ def test_a_tile_is_planned_at_the_time_of_its_conditions(table, catalog, presets
 @pytest.mark.parametrize(
     ("options", "epoch", "text"),
     [
-        (
-            {},
-            2016.0,
-            "at the epoch of the catalog .J2016.000., although .* proper motions of up to 2000 mas / yr$",
-        ),
+        ({}, 2016.0, "at the epoch of the catalog .J2016.000., although .* proper motions of up to 2000 mas / yr$"),
         (
             {"conditions": replace(conditions_at(), time=None, hour_angle=0 * u.deg)},
             2016.0,

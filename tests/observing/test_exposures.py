@@ -109,10 +109,7 @@ def test_the_field_rotation_is_the_change_of_the_parallactic_angle(dec, hours, p
     sdss = rs.Instrument.preset("sdss_apo")
     for offset in (0.0, 0.1):
         conditions = rs.ObservingConditions(
-            "apache point",
-            hour_angle=offset * u.hourangle,
-            exposure_time=hours * u.hour,
-            pressure=pressure * u.hPa,
+            "apache point", hour_angle=offset * u.hourangle, exposure_time=hours * u.hour, pressure=pressure * u.hPa
         )
         latitude, moments = conditions.site.lat.rad, np.linspace(-0.5, 0.5, 400_001) * hours * RATE
         expected = np.unwrap(parallactic_angles(latitude, np.deg2rad(dec), np.deg2rad(15 * offset) + moments))

@@ -177,14 +177,8 @@ BAD = {
     "angle": (lambda text: text.replace("pa 60.0", "pa north"), "pa in the header must be a number, got 'north'"),
     "twice": (lambda text: text.replace(" R-1C14 ", " R-1C13 "), "each fiber must have one row, got several"),
     "wide": (lambda text: text.replace("category[40]", "category[99999999]"), "rows of text must fit into memory"),
-    "epoch": (
-        lambda text: text.replace("epoch 2460427", "epoch soon"),
-        "epoch in the header must be .* 'soon'",
-    ),
-    "no epoch": (
-        lambda text: text.replace("epoch 2460427", "epoch nan"),
-        "epoch in the header must be a finite",
-    ),
+    "epoch": (lambda text: text.replace("epoch 2460427", "epoch soon"), "epoch in the header must be .* 'soon'"),
+    "no epoch": (lambda text: text.replace("epoch 2460427", "epoch nan"), "epoch in the header must be a finite"),
     "MJD": (lambda text: text.replace("epoch 2460427", "epoch 60427.5"), "must be a Julian date from .* got 60427.5"),
     "other text": (lambda text: "stars\n", "complete definition"),
     "empty": (lambda text: "", "the last line must end with a line break"),

@@ -117,9 +117,7 @@ def test_columns_of_a_tile_are_copied_to_a_design_or_named(tmp_path, presets):
 
 WAVES = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
 PROJECTIONS = {
-    "full": {
-        "conditions": {"hour_angle": 40 * u.deg, "exposure_time": 900 * u.s, "tolerance": 5 * u.um},
-    },
+    "full": {"conditions": {"hour_angle": 40 * u.deg, "exposure_time": 900 * u.s, "tolerance": 5 * u.um}},
     "refraction": {"conditions": {"time": Time("2026-03-01T08:00:00")}, "projection": "refraction"},
     "tangent": {"projection": "tangent"},
 }

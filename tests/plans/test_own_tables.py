@@ -47,10 +47,7 @@ OBJECTS = Column([{"a": k} for k in range(N)], dtype=object)
         (column("tip_x", np.zeros(N)), ": column 'tip_x' must be a Quantity with a unit convertible to mm, got"),
         (column("ra", np.zeros(N) * u.mm), ": column 'ra' must have a unit convertible to deg, got mm"),
         (column("kind", np.zeros(N)), ": column 'kind' must hold text, got float64"),
-        (
-            column("id", np.zeros((N, 2), dtype=int)),
-            ": column 'id' must have one value per row, got the shape (40",
-        ),
+        (column("id", np.zeros((N, 2), dtype=int)), ": column 'id' must have one value per row, got the shape (40"),
         (column("id", OBJECTS), ": column 'id' must hold numbers or text, got "),
         (entry("provenance", {"parameters": 1}), ": the provenance of a tile must have parameters and the instrument"),
     ],

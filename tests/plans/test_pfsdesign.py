@@ -247,10 +247,7 @@ DAMAGES = [
     ({"RA": "east"}, "the header card RA must be a finite number, got 'east'"),
     ({"tables": design(ra=np.full(61, "12:00"))}, "the column 'ra' of DESIGN must hold numbers, got <U5"),
     ({"tables": design(objId=np.full(61, 1.5))}, "the column 'objId' of DESIGN must hold whole numbers, got float64"),
-    (
-        {"tables": design(pfiNominal=np.zeros(61, "f4"))},
-        "'pfiNominal' of DESIGN must have two values per row",
-    ),
+    ({"tables": design(pfiNominal=np.zeros(61, "f4"))}, "'pfiNominal' of DESIGN must have two values per row"),
     ({"tables": design(fiberId=np.full(61, 7, "i4"))}, "fiberId must be unique, but 7 occurs more than once"),
 ]
 

@@ -134,7 +134,7 @@ def test_the_text_of_the_page_agrees_with_the_results():
     recorded = every["field_a", "recorded"]
     assert f"The judge counts {recorded['standard'] + recorded['sky']} of them as observed" in page
     assert {scene for (scene, program), one in every.items() if program == "optimal" and one["gap"] != "0"} == {
-        "desi_tiles",  # no bound of all tiles together
+        "desi_tiles"  # no bound of all tiles together
     }
 
 

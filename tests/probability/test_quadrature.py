@@ -139,8 +139,7 @@ def test_a_factor_of_the_density_does_not_matter():
 
 @pytest.mark.few(1)
 @pytest.mark.parametrize(
-    "plane",
-    [lamost_like(), sdss_like(2), pytest.param(sdss_like(arm_model="fiber_tip"), marks=pytest.mark.exhaustive)],
+    "plane", [lamost_like(), sdss_like(2), pytest.param(sdss_like(arm_model="fiber_tip"), marks=pytest.mark.exhaustive)]
 )
 def test_environments_change_nothing(plane):
     """With a function as density, environments are not used, and each positioner is computed separately."""
