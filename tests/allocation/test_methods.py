@@ -110,13 +110,8 @@ def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requiremen
     plane, (xy, priority, kind) = PLANES[name], scene
     category = [random.choice(["faint", ""]) for _ in xy]
     can = plane.reachable(xy * MM).toarray()
-    found = rs.allocate(
-        plane,
-        xy * MM,
-        allocator=rs.AllocationOptions("lamost_rule", requirements=requirements),
-        priority=priority,
-        kind=kind,
-        category=category,
+    found = flat.allocate(
+        plane, xy * MM, "lamost_rule", requirements=requirements, priority=priority, kind=kind, category=category
     )
     expected = lamost_with_requirements(
         xy, plane, can, priority, kind, category, requirements, lambda i, t: plane.spectrograph[i]
@@ -140,13 +135,8 @@ def test_lamost_with_requirements_is_the_rule_as_written_in_a_crowd(seed):
     def column(i, t):
         return plane.spectrograph[i, plane.fiber_types.index(fiber[t] or plane.fiber_type[i].split("+")[0])]
 
-    found = rs.allocate(
-        plane,
-        xy * MM,
-        allocator=rs.AllocationOptions("lamost_rule", requirements=requirements),
-        priority=priority,
-        kind=kind,
-        fiber_type=fiber,
+    found = flat.allocate(
+        plane, xy * MM, "lamost_rule", requirements=requirements, priority=priority, kind=kind, fiber_type=fiber
     )
     expected = lamost_with_requirements(
         xy, plane, can, priority.tolist(), kind.tolist(), [""] * n, requirements, column
@@ -253,9 +243,7 @@ def test_sdss_counts_science_before_classes_if_asked(name):
     plane, xy, rng = crowd(name, 500, 9)
     priority = rng.integers(0, 2, 500)
     kind = np.where(rng.random(500) < 0.3, "standard", "science")
-    found = rs.allocate(
-        plane, xy * MM, allocator=rs.AllocationOptions("network_flow", objective="count"), priority=priority, kind=kind
-    )
+    found = flat.allocate(plane, xy * MM, "network_flow", objective="count", priority=priority, kind=kind)
     can = plane.reachable(xy * MM)
     assert found.levels[0].name == "science"
     assert found.levels[0].value == matched(can[:, np.flatnonzero(kind == "science")])
@@ -288,9 +276,7 @@ def test_repair_and_optimal_stay_below_a_matching_class_by_class(make, n, rng):
     can = plane.reachable(xy * MM)
     top, both = matched(can[:, np.flatnonzero(priority == 1)]), matched(can)
     for method in ("optimal", "repair"):
-        found = rs.allocate(
-            plane, xy * MM, allocator=rs.AllocationOptions(method, start="network_flow"), priority=priority
-        )
+        found = flat.allocate(plane, xy * MM, method, start="network_flow", priority=priority)
         assert found.levels[0].value <= top
         assert found.n_assigned <= both
         if method == "repair":

@@ -121,12 +121,7 @@ def test_what_is_lacking_is_said_in_numbers(method, asked, expected):
 @pytest.mark.parametrize("method", FILLING)
 def test_what_exceeds_the_number_of_fibers_is_met_as_far_as_possible(method):
     xy = np.concatenate([c + [[1, 0], [0, 2], [-3, 0], [0, 4]] for c in ROW.xy.value])
-    found = rs.allocate(
-        ROW,
-        xy * MM,
-        allocator=rs.AllocationOptions(method, requirements=["sky=5", "sky=3/spectrograph"]),
-        kind=["sky"] * 12,
-    )
+    found = flat.allocate(ROW, xy * MM, method, requirements=["sky=5", "sky=3/spectrograph"], kind=["sky"] * 12)
     assert found.n_assigned == 3
     why = "all requirements together need 11 fibers, but only 3 fibers are usable"
     assert sentences(found.unmet) == [
@@ -207,12 +202,7 @@ def test_without_kinds_all_is_science(method):
 def test_spectrographs_count_on_their_own(method):
     xy = np.concatenate([XY, [[40, 9], [80, 9.5]]])
     kind = [*KIND, "sky", "standard"]
-    found = rs.allocate(
-        ROW,
-        xy * MM,
-        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph", "standard=1"]),
-        kind=kind,
-    )
+    found = flat.allocate(ROW, xy * MM, method, requirements=["sky=1/spectrograph", "standard=1"], kind=kind)
     assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
     target_of = found.target_of_positioner
     assert "sky" in [kind[t] for t in target_of[:2]]
@@ -224,13 +214,8 @@ def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
     plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "B+A", "B"], spectrograph=[[1, 2], [1, 2], [2, 9]])
     xy = np.array([[5, 0], [45, 0], [85, 0], [0, 5], [0, 6], [80, 6], [40, 6]])
     kind, fiber = ["science"] * 3 + ["sky"] * 4, ["B", "", "", "A", "B", "", "B"]
-    found = rs.allocate(
-        plane,
-        xy * MM,
-        allocator=rs.AllocationOptions(method, requirements=["sky=1/spectrograph"]),
-        kind=kind,
-        fiber_type=fiber,
-        forbidden=[(0, 4)],
+    found = flat.allocate(
+        plane, xy * MM, method, requirements=["sky=1/spectrograph"], kind=kind, fiber_type=fiber, forbidden=[(0, 4)]
     )
     # type B of the second positioner is in spectrograph 1; type A of the first or the third positioner is in
     # spectrograph 2; no positioner is in spectrograph 9
@@ -243,18 +228,10 @@ def test_each_fiber_type_can_have_a_spectrograph_of_its_own(method):
 def test_a_fiber_type_narrows_what_counts(method):
     plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "A", "B"])
     fiber = ["B", "A", "B", "A", "", "B"]
-    found = rs.allocate(
-        plane, XY * MM, allocator=rs.AllocationOptions(method, requirements=["sky@A=1"]), kind=KIND, fiber_type=fiber
-    )
+    found = flat.allocate(plane, XY * MM, method, requirements=["sky@A=1"], kind=KIND, fiber_type=fiber)
     assert found.target_of_positioner.tolist() == [3, 1, 2]
     assert found.fiber_type.tolist() == ["A", "A", "B"]
-    found = rs.allocate(
-        plane,
-        XY * MM,
-        allocator=rs.AllocationOptions(method, requirements=["science@B=3"]),
-        kind=KIND,
-        fiber_type=fiber,
-    )
+    found = flat.allocate(plane, XY * MM, method, requirements=["science@B=3"], kind=KIND, fiber_type=fiber)
     assert [str(s) for s in found.unmet] == ["science targets for B: 2 of 3, 1 missing; only 2 are in reach"]
 
 
@@ -269,13 +246,8 @@ def test_required_targets_come_before_everything_else(method):
     """
     xy = [[5, 0], [0, 6], [45, 0], [40, -6], [85, 0], [80, 6]] * MM
     kind = ["science", "sky", "science", "standard", "sky", "science"]
-    found = rs.allocate(
-        ROW,
-        xy,
-        allocator=rs.AllocationOptions(method, requirements=["science=3"]),
-        kind=kind,
-        required=[1, 3, 5],
-        priority=[9, 0, 9, 0, 0, 1],
+    found = flat.allocate(
+        ROW, xy, method, requirements=["science=3"], kind=kind, required=[1, 3, 5], priority=[9, 0, 9, 0, 0, 1]
     )
     assert found.target_of_positioner.tolist() == [1, 3, 5]
     assert found.levels[0] == ("required targets", 3, 3)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from raising import refused
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey._kernels import allocation as kernels
 from scenes import MM, SCENES, both_hands, lamost_like, many_tips, sdss_like, two_fibers, with_troubles
@@ -88,11 +89,7 @@ def test_an_executor_changes_nothing(pool, rng):
 def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
     plane = lamost_like()
     for parked in (True, False):
-        allocation = rs.allocate(
-            plane,
-            rng.uniform(-70, 70, (12, 2)) * MM,
-            allocator=rs.AllocationOptions("balanced", parked_obstacles=parked),
-        )
+        allocation = flat.allocate(plane, rng.uniform(-70, 70, (12, 2)) * MM, "balanced", parked_obstacles=parked)
         counts = rs.collision.count_collisions(plane, allocation, n_configurations=3)
         assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
         assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]

@@ -13,6 +13,7 @@ from configurations import places, stars_around
 from raising import refused
 from shapely import Point, Polygon
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey.constraints import GuideStars
 from rfpsurvey.constraints._guide_stars import distances
@@ -58,9 +59,7 @@ def test_numbers_on_the_cameras_of_sdssv_equal_an_independent_computation(second
     """Stars on the outer half of the cameras are beyond the largest field angle of the preset, and count."""
     stars, apo = stars_around(CENTER), rs.Instrument.preset("sdss_apo")
     rule = GuideStars("gaia_g", 12, 17.5, 1, stars=stars if second else None)
-    tile = rs.plan_tile(
-        stars, apo, CENTER, position_angle=31 * u.deg, allocator=rs.AllocationOptions("nearest", constraints=rule)
-    )
+    tile = flat.plan_tile(stars, apo, CENTER, "nearest", constraints=rule, position_angle=31 * u.deg)
     expected = counts_of(stars.coord, stars.extra["gaia_g"], CENTER, 31, real_data, 12, 17.5)
     assert min(expected) > 2
     assert tile.rules["note"][0] == ", ".join(f"gfa{k} has {n}" for k, n in enumerate(expected, 1))
@@ -203,15 +202,9 @@ def test_refraction_moves_stars_onto_a_camera(one):
     assert rules_of(sky, one, "guide_stars g 10 15 1")[0].rules["verdict"][0] == "pass"
     conditions = rs.ObservingConditions("kitt peak", hour_angle=5 * u.hourangle, wavelength=0.4 * u.um)
     with pytest.warns(rs.RfpsurveyWarning, match="north has 0"):
-        tile = rs.plan_tile(
-            catalog([2.2], [12]), one, CENTER, allocator=rs.AllocationOptions(constraints="guide_stars g 10 15 1")
-        )
-    tile = rs.plan_tile(
-        catalog([2.02], [12]),
-        one,
-        CENTER,
-        conditions=conditions,
-        allocator=rs.AllocationOptions(constraints="guide_stars g 10 15 1"),
+        tile = flat.plan_tile(catalog([2.2], [12]), one, CENTER, "repair", constraints="guide_stars g 10 15 1")
+    tile = flat.plan_tile(
+        catalog([2.02], [12]), one, CENTER, "repair", constraints="guide_stars g 10 15 1", conditions=conditions
     )
     assert tile.rules["verdict"][0] == "pass"
 

@@ -6,6 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from raising import refused
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey.allocation import Shortfall
 from rfpsurvey.constraints import sentences
@@ -167,10 +168,5 @@ def test_blanks_do_not_matter():
 def test_a_name_that_no_target_has_is_guessed_at(what, hint):
     unit = rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm)
     plane = rs.FocalPlane([[0, 0]] * u.mm, unit)
-    found = rs.allocate(
-        plane,
-        [[1, 2]] * u.mm,
-        allocator=rs.AllocationOptions("balanced", requirements=f"{what}=3"),
-        category=["bright"],
-    )
+    found = flat.allocate(plane, [[1, 2]] * u.mm, "balanced", requirements=f"{what}=3", category=["bright"])
     assert [str(one) for one in found.unmet] == [f"{what} targets: 0 of 3, 3 missing; none is in reach{hint}"]

@@ -8,6 +8,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey.constraints import BrightStars, Contrast, Distribution, MagnitudeLimits, as_constraints
 
@@ -271,9 +272,7 @@ def test_rules_of_an_instrument_are_constraints_of_a_plan():
     kind = rng.choice(["science", "standard", "sky"], len(sky), p=[0.6, 0.2, 0.2])
     sky = rs.Catalog(sky.coord, kind=kind, fiber_type=rng.choice(["BOSS", "APOGEE"], len(sky)), extra=extra)
     one = rs.plan_tile(sky, apo, CENTER, allocator=rs.AllocationOptions("repair", rules="dark_monit"))
-    other = rs.plan_tile(
-        sky, apo, CENTER, allocator=rs.AllocationOptions("repair", constraints=apo.rules("dark_monit"))
-    )
+    other = flat.plan_tile(sky, apo, CENTER, "repair", constraints=apo.rules("dark_monit"))
     assert one.rules.pformat() == other.rules.pformat()
     assert (one.table["target_id"] == other.table["target_id"]).all()
     assert len(one.rules) == 16
