@@ -27,8 +27,7 @@ SCENES = {
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("limit", [1e-9, 0.3, 1.5])
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(("scene", "limit"), [(scene, limit) for scene in SCENES for limit in (1e-9, 0.3)])
 def test_no_plan_is_worse_than_that_of_repair(scene, limit):
     """With a limit of 1 s, ``optimal`` once assigned 5994 targets where ``repair`` assigned 9889 in 0.8 s."""
     plane, density = SCENES[scene]
@@ -40,8 +39,7 @@ def test_no_plan_is_worse_than_that_of_repair(scene, limit):
     found = rs.allocate(plane, xy, allocator=options, priority=priority)
     assert [level.value for level in found.levels] >= [level.value for level in repaired.levels]
     assert 0 <= found.gap <= 1
-    pairs = rs.find_collisions(plane, found).pairs
-    assert (found.target_of_positioner[pairs] < 0).all()
+    assert (found.target_of_positioner[rs.find_collisions(plane, found).pairs] < 0).all()
 
 
 @pytest.mark.few(2)
@@ -63,7 +61,7 @@ def test_plans_get_no_worse_with_more_programs(name, with_requirements):
         ]
 
     before = values("repair")
-    for programs in (0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 17, 20, 25, 30, 40, 50, 75, 100):
+    for programs in (0, 1, 2, 3, 4, 6, 8, 12, 20, 40):
         now = values("optimal", programs=programs)
         assert now >= before, (programs, now, before)
         before = now

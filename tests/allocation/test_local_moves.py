@@ -56,7 +56,7 @@ def drop_slowly(options, order, plan):
         plan[i] = min(able, key=lambda c: (options.rank[c], options.cost[c]), default=int(options.start[i + 1]) - 1)
 
 
-@pytest.mark.parametrize("seeds", [range(300), pytest.param(range(300, 6000), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [range(300), pytest.param(range(300, 2000), marks=pytest.mark.exhaustive)])
 def test_targets_are_removed_in_the_order_of_collisions(seeds):
     n_dropped = n_idle_collide = 0
     for seed in seeds:

@@ -133,7 +133,7 @@ def idle_directions(plane, points, law):
     return found[0]
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 30))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 6))])
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_optimum_is_that_of_an_integer_program_with_sampled_conflicts(scene, seed):
     make, law = SCENES[scene]

@@ -10,9 +10,7 @@ from brute import best_plan, bodies_of, conflicts_of, options_of
 from scenes import random_plane
 
 MM = u.mm
-N_CASES = 500
-CHUNK = 25
-EXHAUSTIVE = pytest.mark.exhaustive
+CHUNK, EXHAUSTIVE = 25, pytest.mark.exhaustive
 
 
 def random_case(seed, *, quotas):
@@ -89,7 +87,7 @@ def judge(plane, xy, options):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("quotas", [False, True])
 @pytest.mark.parametrize("method", ["network_flow", "optimal"])
-@pytest.mark.parametrize("chunk", [*range(6), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(6, N_CASES // CHUNK))])
+@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(1, 8))])
 def test_no_plan_is_better(method, chunk, quotas):
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
         plane, xy, options = random_case(seed, quotas=quotas)

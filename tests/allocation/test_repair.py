@@ -45,41 +45,45 @@ def ladder(found, priority):
 @pytest.mark.parametrize("start", STARTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_no_arm_collides_whatever_the_start(name, start):
+    """The plan of each start is also given as an allocation; without collisions, it does not become worse."""
     plane, xy, options = scene(name)
-    found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
+
+    def repaired(start, **moves):
+        return flat.allocate(plane, xy, allocator="repair", start=start, **moves, **options)
+
+    def counts(plan):
+        return ladder(plan, options["priority"])
+
+    found, before = repaired(start), flat.allocate(plane, xy, allocator=start, **options)
     assert at_fault(plane, found) == []
-    before = flat.allocate(plane, xy, allocator=start, **options)
     assert found.meta["n_before"] == before.n_assigned
     if plane.obstacles is None:
         assert found.n_assigned >= before.n_assigned - found.meta["n_dropped"]
-        after, first = (ladder(one, options["priority"])[0] for one in (found, before))
-        assert after >= first - found.meta["n_dropped"]
+        assert counts(found)[0] >= counts(before)[0] - found.meta["n_dropped"]
     best = flat.allocate(plane, xy, allocator="optimal", **options)
-    assert ladder(found, options["priority"]) <= ladder(best, options["priority"])
-    assert ladder(found, options["priority"])[0] >= 0.8 * ladder(best, options["priority"])[0]
-    again = flat.allocate(plane, xy, allocator="repair", start=before, **options)
-    assert at_fault(plane, again) == []
+    assert counts(found) <= counts(best)
+    assert counts(found)[0] >= 0.8 * counts(best)[0]
+    assert at_fault(plane, repaired(before)) == []
     if start == "optimal":  # its plan also depends on the moves
+        for method in ("optimal", "repair"):
+            given = flat.allocate(plane, xy, allocator=method, **options)
+            again = repaired(given)
+            assert at_fault(plane, again) == []
+            assert counts(again) == counts(given) if method == "optimal" else counts(again) >= counts(given)
+            assert method == "repair" or again.meta["n_dropped"] == again.meta["n_moved"] == 0
         return
-    named, given = (
-        flat.allocate(plane, xy, allocator="repair", start=one, moves="exchange", **options) for one in (start, before)
-    )
+    named, given = (repaired(one, moves="exchange") for one in (start, before))
     np.testing.assert_array_equal(given.target_of_positioner, named.target_of_positioner)
     np.testing.assert_array_equal(given.handedness, named.handedness)
 
 
-@pytest.mark.parametrize("seed", range(3))
-@pytest.mark.parametrize(
-    ("make", "n"),
-    [
-        (lambda: rs.FocalPlane.hexagonal(lamost_like().positioner, rings=5, pitch=18 * MM), 500),
-        (lambda: sdss_like(rings=5), 500),
-    ],
-    ids=["equal arms", "unequal arms"],
-)
-def test_there_is_something_to_repair(make, n, seed):
-    plane = make()
-    xy = np.random.default_rng(seed).uniform(-130, 130, (n, 2)) * MM
+@pytest.mark.parametrize("seed", range(2))
+@pytest.mark.parametrize("equal", [True, False])
+def test_there_is_something_to_repair(equal, seed):
+    plane = sdss_like(rings=5)
+    if equal:
+        plane = rs.FocalPlane.hexagonal(lamost_like().positioner, rings=5, pitch=18 * MM)
+    xy = np.random.default_rng(seed).uniform(-130, 130, (500, 2)) * MM
     start = rs.allocate(plane, xy, allocator="balanced")
     assert len(at_fault(plane, start)) > 3
     found = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
@@ -98,19 +102,6 @@ def test_parked_arms_are_in_the_way_if_they_count(parked):
     alone = flat.allocate(plane, [[16, 1]] * MM, "repair", parked_obstacles=parked, forbidden=[[1, 0]])
     stands = rs.find_collisions(plane, [[16, 1], [np.nan, np.nan]] * MM, parked_obstacles=parked)
     assert alone.n_assigned == (len(stands.pairs) == 0) == (not parked)
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_a_plan_without_collisions_is_not_made_worse(name):
-    plane, xy, options = scene(name, seed=8)
-    for method in ("optimal", "repair"):
-        start = flat.allocate(plane, xy, allocator=method, **options)
-        found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
-        assert ladder(found, options["priority"]) >= ladder(start, options["priority"])
-        assert at_fault(plane, found) == []
-        if method == "optimal":
-            assert found.meta["n_dropped"] == found.meta["n_moved"] == 0
-            assert ladder(found, options["priority"]) == ladder(start, options["priority"])
 
 
 @pytest.mark.parametrize("method", ["repair", "optimal"])
@@ -137,11 +128,10 @@ def test_the_other_elbow_saves_both_targets(method):
 
 
 @pytest.mark.parametrize("start", ["network_flow", "optimal"])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", range(2))
 def test_maxima_that_the_start_keeps_are_kept(seed, start):
     plane, xy, options = scene("unequal arms", seed=seed)
-    rng = np.random.default_rng(seed)
-    kind = rng.choice(["science", "standard", "sky"], 110)
+    kind = np.random.default_rng(seed).choice(["science", "standard", "sky"], 110)
     options |= {"kind": kind, "requirements": ["sky=-6", "standard=-9", "science=-12"]}
     found = flat.allocate(plane, xy, allocator="repair", start=start, **options)
     used = found.target_of_positioner[found.target_of_positioner >= 0]
@@ -156,18 +146,12 @@ def test_the_least_important_target_gives_way():
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, unit)
     for priority in ([2, 1], [1, 2]):
         found = rs.allocate(plane, [[12, 0], [14, 0]] * MM, allocator="repair", priority=priority)
-        assert found.n_assigned == 1
-        assert priority[found.target_of_positioner.max()] == 2
+        assert (found.n_assigned, priority[found.target_of_positioner.max()]) == (1, 2)
         assert (found.meta["n_before"], found.meta["n_dropped"]) == (2, 1)
         assert [level.value for level in found.levels] == [1, 0]
     found = rs.allocate(plane, [[12, 0], [14, 0], [37.6, 5]] * MM, allocator="repair")
-    assert sorted(found.target_of_positioner)[1] == 2
-    assert found.meta["n_dropped"] == 0
-
-
-def test_what_touches_an_obstacle_is_dropped():
-    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[12, 0, 1]] * MM)
+    assert (sorted(found.target_of_positioner)[1], found.meta["n_dropped"]) == (2, 0)
+    plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[12, 0, 1]] * MM)  # the only target touches an obstacle
     found = rs.allocate(plane, [[12, 0]] * MM, allocator="repair")
     assert (found.n_assigned, found.meta["n_before"], found.meta["n_dropped"]) == (0, 1, 1)
 
@@ -185,33 +169,19 @@ def test_a_start_with_found_sky_may_be_repaired():
 def test_a_start_that_does_not_fit_is_an_error():
     plane, xy, _ = scene("equal arms")
     start = rs.allocate(plane, xy, allocator="lamost_rule")
-    other = rs.FocalPlane(plane.xy[:-1], plane.positioner)
+    fewer, moved = rs.FocalPlane(plane.xy[:-1], plane.positioner), rs.FocalPlane(plane.xy + 300 * MM, plane.positioner)
     fits = "start must be an allocation of the same targets to the same focal plane"
-    for targets, onto in ((xy, other), (xy + 1 * MM, plane), (xy[::-1], plane), (xy[:-1], plane)):
-        with pytest.raises(rs.InputError, match=fits):
-            rs.allocate(onto, targets, allocator=rs.AllocationOptions("repair", start=start))
+    for onto, targets in (
+        *((other, xy) for other in (fewer, moved)),
+        *((plane, other) for other in (xy + 1 * MM, xy[::-1], xy[:-1], np.concatenate([xy, xy]))),
+    ):
+        refused(fits, flat.allocate, onto, targets, "repair", start=start)
     for name in ("best", "repair", ""):
-        with pytest.raises(rs.InputError, match=f"unknown allocator to start with {name!r}; choose one of: balanced,"):
-            rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=name))
+        text = f"unknown allocator to start with {name!r}; choose one of: balanced,"
+        refused(text, flat.allocate, plane, xy, "repair", start=name)
     for value in (5, None, start.target_of_positioner.tolist()):
-        with pytest.raises(
-            rs.InputError, match="start must be an Allocation, a Tile or the name of an allocator, got "
-        ):
-            rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=value))
-
-
-def test_a_start_on_another_plane_of_the_same_size_is_an_error():
-    plane, xy, _ = scene("equal arms")
-    moved = rs.FocalPlane(plane.xy + 300 * MM, plane.positioner)
-    start = rs.allocate(moved, xy, allocator="lamost_rule")
-    with pytest.raises(rs.InputError, match="the same focal plane"):
-        rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start))
-
-
-def test_a_start_with_fewer_targets_is_an_error():
-    plane, xy, _ = scene("equal arms")
-    start = rs.allocate(plane, xy[:50], allocator="lamost_rule")
-    refused("the same targets", lambda: rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=start)))
+        text = "start must be an Allocation, a Tile or the name of an allocator, got "
+        refused(text, flat.allocate, plane, xy, "repair", start=value)
 
 
 def test_a_start_within_the_margins_of_broken_arms_is_an_error():
@@ -238,13 +208,12 @@ def test_the_plan_is_the_same_as_if_all_collisions_of_candidates_were_known(name
         everything = everything.with_collisions()
         return everything, _local_search.repair_collisions(everything, chosen)
 
-    for seed in range(4):
+    for seed in range(2):
         plane, xy, options = scene(name, n, seed)
-        options["moves"] = "exchange"
-        found = flat.allocate(plane, xy, allocator="repair", **options)
+        found = flat.allocate(plane, xy, allocator="repair", moves="exchange", **options)
         with monkeypatch.context() as patch:
             patch.setattr(_methods, "repair_nearby", with_all_collisions)
-            expected = flat.allocate(plane, xy, allocator="repair", **options)
+            expected = flat.allocate(plane, xy, allocator="repair", moves="exchange", **options)
         np.testing.assert_array_equal(found.target_of_positioner, expected.target_of_positioner)
         np.testing.assert_array_equal(found.handedness, expected.handedness)
         assert (found.meta, found.levels) == (expected.meta, expected.levels)
