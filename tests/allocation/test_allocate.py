@@ -107,16 +107,16 @@ def test_nothing_in_reach_is_not_an_error():
     assert rs.allocate(PLANES["equal"], np.empty((0, 2)) * MM, allocator="lamost_rule").n_assigned == 0
 
 
-@pytest.mark.parametrize(
-    ("name", "l1", "l2", "pitch", "multiplicity", "per_cell", "empty"),
-    [
-        ("lamost", 8.25, 8.25, 25.6, 1.5070, 4, 0.00241),
-        ("sdss_apo", 7.4, np.hypot(14.965, 0.376), 22.4, 3.2035, 1, 0.0406),
-        ("desi", 3.0, 3.0, 10.4, 1.2074, 5, 0.00239),
-        ("pfs", 2.375, 2.375, 8.0, 1.2789, 1, 0.278),
-        ("moons", 8.0, 17.0, 25.058, 3.1428, 1, 0.0432),
-    ],
-)
+LATTICES = [
+    ("lamost", 8.25, 8.25, 25.6, 1.5070, 4, 0.00241),
+    ("sdss_apo", 7.4, np.hypot(14.965, 0.376), 22.4, 3.2035, 1, 0.0406),
+    ("desi", 3.0, 3.0, 10.4, 1.2074, 5, 0.00239),
+    ("pfs", 2.375, 2.375, 8.0, 1.2789, 1, 0.278),
+    ("moons", 8.0, 17.0, 25.058, 3.1428, 1, 0.0432),
+]
+
+
+@pytest.mark.parametrize(("name", "l1", "l2", "pitch", "multiplicity", "per_cell", "empty"), LATTICES)
 def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch, multiplicity, per_cell, empty, rng):
     """On an infinite lattice, m = 4 pi l1 l2 / cell.
 

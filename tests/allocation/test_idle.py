@@ -11,15 +11,15 @@ import rfpsurvey as rs
 MM = u.mm
 
 
-@pytest.mark.parametrize(
-    ("xy", "subpriority", "expected", "n_pairs"),
-    [
-        ([[0.404, 7.0876]], None, [-1, 0, -1], 0),  # of two positioners, the one whose idle arm would collide twice
-        # subpriorities take precedence over collisions of idle arms; the arms at these targets collide
-        ([[12.1, -8.7], [13.6, -4.6]], [0.9, 0.2], [0, -1, -1], 1),
-        ([[12.1, -8.7], [13.6, -4.6]], [0.2, 0.9], [-1, 1, -1], 0),
-    ],
-)
+IDLE_ARMS = [
+    ([[0.404, 7.0876]], None, [-1, 0, -1], 0),  # of two positioners, the one whose idle arm would collide twice
+    # subpriorities take precedence over collisions of idle arms; the arms at these targets collide
+    ([[12.1, -8.7], [13.6, -4.6]], [0.9, 0.2], [0, -1, -1], 1),
+    ([[12.1, -8.7], [13.6, -4.6]], [0.2, 0.9], [-1, 1, -1], 0),
+]
+
+
+@pytest.mark.parametrize(("xy", "subpriority", "expected", "n_pairs"), IDLE_ARMS)
 def test_collisions_of_idle_arms_are_the_last_objective(xy, subpriority, expected, n_pairs):
     plane = rs.FocalPlane([[0, 0], [12.2, 0], [24.4, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 2.25 * MM))
     found = rs.allocate(plane, xy * MM, allocator="optimal", subpriority=subpriority)

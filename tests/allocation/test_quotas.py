@@ -70,34 +70,34 @@ def test_an_unknown_fiber_type_of_a_requirement_is_refused():
     refused(message, flat.allocate, two_fibers(), XY * MM, requirements="sky@C=2")
 
 
+LACKING = [
+    (["sky=1"], []),
+    (["sky=2", "sky=2"], ["sky targets: 1 of 2, 1 missing"]),
+    (["sky=3"], ["sky targets: 1 of 3, 2 missing"]),
+    (["sky=4"], ["sky targets: 1 of 4, 3 missing; only 3 are in reach"]),
+    (["sky=999999999"], ["sky targets: 1 of 999999999, 999999998 missing; only 3 are in reach"]),
+    (["science=4"], ["science targets: 3 of 4, 1 missing; only 3 are in reach"]),
+    (["standard=2"], ["standard targets: 0 of 2, 2 missing; none is in reach"]),
+    (["sky_boss=2"], ["sky_boss targets: 0 of 2, 2 missing; none is in reach"]),
+    (["sky=1/spectrograph"], ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]),
+    (
+        ["sky=2/spectrograph"],
+        ["sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there"],
+    ),
+    (["sky=2", "sky=-1"], ["sky targets: 1 of 2, 1 missing"]),
+    (
+        ["sky=-1", "sky=2/spectrograph", "sky_boss=1"],
+        [
+            "sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there",
+            "sky_boss targets: 0 of 1, 1 missing; none is in reach",
+        ],
+    ),
+    (["sky=0", "sky=-0", "science=0-3/spectrograph"], []),
+]
+
+
 @pytest.mark.parametrize("method", FILLING)
-@pytest.mark.parametrize(
-    ("asked", "expected"),
-    [
-        (["sky=1"], []),
-        (["sky=2", "sky=2"], ["sky targets: 1 of 2, 1 missing"]),
-        (["sky=3"], ["sky targets: 1 of 3, 2 missing"]),
-        (["sky=4"], ["sky targets: 1 of 4, 3 missing; only 3 are in reach"]),
-        (["sky=999999999"], ["sky targets: 1 of 999999999, 999999998 missing; only 3 are in reach"]),
-        (["science=4"], ["science targets: 3 of 4, 1 missing; only 3 are in reach"]),
-        (["standard=2"], ["standard targets: 0 of 2, 2 missing; none is in reach"]),
-        (["sky_boss=2"], ["sky_boss targets: 0 of 2, 2 missing; none is in reach"]),
-        (["sky=1/spectrograph"], ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]),
-        (
-            ["sky=2/spectrograph"],
-            ["sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there"],
-        ),
-        (["sky=2", "sky=-1"], ["sky targets: 1 of 2, 1 missing"]),
-        (
-            ["sky=-1", "sky=2/spectrograph", "sky_boss=1"],
-            [
-                "sky targets, 2 in each spectrograph: 3 missing in 2 spectrographs (7, 9); only 3 are in reach there",
-                "sky_boss targets: 0 of 1, 1 missing; none is in reach",
-            ],
-        ),
-        (["sky=0", "sky=-0", "science=0-3/spectrograph"], []),
-    ],
-)
+@pytest.mark.parametrize(("asked", "expected"), LACKING)
 def test_what_is_lacking_is_said_in_numbers(method, asked, expected):
     found = allocate(method, asked)
     assert sentences(found.unmet) == expected
@@ -142,16 +142,16 @@ def test_rules_without_requirements_only_report(method):
     assert allocate(method, ["sky=2", "science=-2"]).target_of_positioner.tolist() == [0, 1, 2]
 
 
+NO_TARGETS = [
+    {"xy": np.empty((0, 2)) * MM, "kind": []},
+    {"xy": [[np.nan, 0], [900, 0]] * MM, "kind": ["sky", "science"]},
+    {"xy": [[900, 0]] * MM, "kind": ["sky"], "sky_separation": 5 * MM},
+]
+
+
 @pytest.mark.filterwarnings("ignore:sky_separation has no effect")
 @pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize(
-    "options",
-    [
-        {"xy": np.empty((0, 2)) * MM, "kind": []},
-        {"xy": [[np.nan, 0], [900, 0]] * MM, "kind": ["sky", "science"]},
-        {"xy": [[900, 0]] * MM, "kind": ["sky"], "sky_separation": 5 * MM},
-    ],
-)
+@pytest.mark.parametrize("options", NO_TARGETS)
 def test_a_plan_without_targets_lacks_everything(method, options):
     options = dict(options)
     xy = options.pop("xy")

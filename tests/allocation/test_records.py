@@ -105,14 +105,14 @@ def test_functions_can_declare_what_their_plans_have(sky):
     assert table["high"].tolist() == [0]
 
 
-@pytest.mark.parametrize(
-    ("name", "value", "words"),
-    [
-        ("counts", "maybe", "own.*: unknown value of counts 'maybe'; choose one of: exactly, goal, no"),
-        ("avoids_collisions", "yes", "own.*: avoids_collisions must be True or False, got 'yes'"),
-        ("options", ["require"], "own.*: unknown option of an allocator 'require'.* Did you mean 'required'"),
-    ],
-)
+INVALID_DECLARATIONS = [
+    ("counts", "maybe", "own.*: unknown value of counts 'maybe'; choose one of: exactly, goal, no"),
+    ("avoids_collisions", "yes", "own.*: avoids_collisions must be True or False, got 'yes'"),
+    ("options", ["require"], "own.*: unknown option of an allocator 'require'.* Did you mean 'required'"),
+]
+
+
+@pytest.mark.parametrize(("name", "value", "words"), INVALID_DECLARATIONS)
 def test_an_invalid_declaration_is_an_error(name, value, words):
     def own(problem):
         return lazy(problem)

@@ -47,17 +47,17 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     assert len(rs.find_collisions(plane, found).pairs) == 0
 
 
+UNPROVEN_PLANS = [
+    (3, "priority", 0),
+    (3, "count", 0),
+    (40, "count", 0),
+    pytest.param(40, "priority", 0, marks=EXHAUSTIVE),
+    *(pytest.param(n, objective, 1, marks=EXHAUSTIVE) for n in (3, 40) for objective in ("priority", "count")),
+]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("n_classes", "objective", "seed"),
-    [
-        (3, "priority", 0),
-        (3, "count", 0),
-        (40, "count", 0),
-        pytest.param(40, "priority", 0, marks=EXHAUSTIVE),
-        *(pytest.param(n, objective, 1, marks=EXHAUSTIVE) for n in (3, 40) for objective in ("priority", "count")),
-    ],
-)
+@pytest.mark.parametrize(("n_classes", "objective", "seed"), UNPROVEN_PLANS)
 def test_unproven_plans_are_honest(n_classes, objective, seed):
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=22.4 * MM)

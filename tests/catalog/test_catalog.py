@@ -20,17 +20,17 @@ def table(**more):
     return QTable({"ra": [10.0, 20.0, 30.0] * DEG, "dec": [-5.0, 0.0, 5.0] * DEG, **more})
 
 
-@pytest.mark.parametrize(
+USUAL_NAMES = [
     ("ra", "dec"),
-    [
-        ("ra", "dec"),
-        ("RAJ2000", "DEJ2000"),
-        ("TARGET_RA", "TARGET_DEC"),
-        ("RA_ICRS", "DE_ICRS"),
-        ("RA", "DEC"),
-        ("Ra_Deg", "dec_deg"),
-    ],
-)
+    ("RAJ2000", "DEJ2000"),
+    ("TARGET_RA", "TARGET_DEC"),
+    ("RA_ICRS", "DE_ICRS"),
+    ("RA", "DEC"),
+    ("Ra_Deg", "dec_deg"),
+]
+
+
+@pytest.mark.parametrize(("ra", "dec"), USUAL_NAMES)
 def test_usual_names_are_found(ra, dec):
     catalog = rs.Catalog.from_table(QTable({ra: [1.0] * DEG, dec: [2.0] * DEG}))
     assert (catalog.coord.ra[0].deg, catalog.coord.dec[0].deg) == (1, 2)
@@ -266,46 +266,46 @@ def test_within_agrees_with_astropy(center, rng):
     np.testing.assert_array_equal(inside.id, np.flatnonzero(expected))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
-        ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
-        ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
-        ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
-        ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
-        ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
-        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
-        (
-            {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
-            "decimal numbers or sexagesimal text, the same in all rows, got '10.5' and '06:20:11'",
-        ),
-        ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got 'abc'"),
-        ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got '--5'"),
-        ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
-        ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
-            "column 'priority' .priority. must hold numbers",
-        ),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]},
-            "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'",
-        ),
-        (
-            {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
-            r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
-            r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
-        ),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
-            "must hold Julian years for targets with a proper motion, but 1 of these targets have other values",
-        ),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
-    ],
-)
+BAD_TABLES = [
+    ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
+    ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
+    ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
+    ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
+    ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
+    ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
+    ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
+    (
+        {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
+        "decimal numbers or sexagesimal text, the same in all rows, got '10.5' and '06:20:11'",
+    ),
+    ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got 'abc'"),
+    ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got '--5'"),
+    ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
+    ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
+    (
+        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
+        "column 'priority' .priority. must hold numbers",
+    ),
+    (
+        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]},
+        "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'",
+    ),
+    (
+        {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
+        r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
+        r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
+    ),
+    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
+    (
+        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
+        "must hold Julian years for targets with a proper motion, but 1 of these targets have other values",
+    ),
+    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
+    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_TABLES)
 def test_bad_tables_are_named(content, message):
     refused(message, lambda: rs.Catalog.from_table(QTable(content)))
 
@@ -320,16 +320,16 @@ def test_bad_overrides_are_named():
         rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz())).arrays.vectors  # noqa: B018
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("missing.fits", None, "there is no such file"),
-        ("broken.fits", b"not a table", "cannot be read as fits"),
-        ("broken.ecsv", b"# %ECSV 1.0\n# ---\n# nonsense: [\n", "cannot be read as ascii.ecsv"),
-        ("broken.parquet", b"PAR1", "cannot be read as parquet"),
-        ("stars.txt", b"", "must end in one of"),
-    ],
-)
+UNREADABLE_FILES = [
+    ("missing.fits", None, "there is no such file"),
+    ("broken.fits", b"not a table", "cannot be read as fits"),
+    ("broken.ecsv", b"# %ECSV 1.0\n# ---\n# nonsense: [\n", "cannot be read as ascii.ecsv"),
+    ("broken.parquet", b"PAR1", "cannot be read as parquet"),
+    ("stars.txt", b"", "must end in one of"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "message"), UNREADABLE_FILES)
 def test_unreadable_files_are_named(tmp_path, name, content, message):
     path = tmp_path / name
     if content is not None:

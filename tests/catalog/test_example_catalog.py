@@ -46,15 +46,15 @@ def test_a_missing_file_is_named(monkeypatch, tmp_path):
     refused(r"must contain .*ecsv.packed, but the file is missing: install rfpsurvey", rs.example_catalog)
 
 
+COMMANDS = [
+    ["plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23"],
+    ["compare", "sdss_apo", "--catalog", "example:anticenter", "--center", "95 23", "--allocator", "lamost_rule"],
+    ["probability", "sdss_apo", "--targets", "example:anticenter", "--estimand", "allocated"],
+]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "command",
-    [
-        ["plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23"],
-        ["compare", "sdss_apo", "--catalog", "example:anticenter", "--center", "95 23", "--allocator", "lamost_rule"],
-        ["probability", "sdss_apo", "--targets", "example:anticenter", "--estimand", "allocated"],
-    ],
-)
+@pytest.mark.parametrize("command", COMMANDS)
 def test_commands_accept_the_name_of_an_example(run, command):
     code, out, err = run(*command)
     assert code == 0, err

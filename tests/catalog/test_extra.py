@@ -70,19 +70,19 @@ def test_columns_of_results_are_reserved():
     assert list(catalog.arrays.extra) == ["target_RA", "g"]
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"n": [1, 2]}, "columns of extra must have one value for each of the 4 targets, got 2 values"),
-        ({"n": [[1, 2]] * 4}, r"column 'n' in keep must contain .* got the type int64 and the shape \(4, 2\)"),
-        ({"t": Time([2000, 2001, 2002, 2003], format="jyear")}, "column 't' in keep must contain .* got a Time"),
-        ({"c": [1j] * 4}, "column 'c' in keep must contain"),
-        ({"u": np.full(4, 2**63, dtype=np.uint64)}, r"column 'u' in keep must contain integers below 2\*\*63, got 92"),
-        ({"o": np.array([{}, 1, 2, 3], dtype=object)}, "got objects of other types"),
-        ({"big": MaskedColumn([2**60, 1, 2, 3], mask=[0, 1, 0, 0])}, "'big' in keep must not have missing values"),
-        (5, "extra must be a dict or a table of columns, got int"),
-    ],
-)
+WRONG_COLUMNS = [
+    ({"n": [1, 2]}, "columns of extra must have one value for each of the 4 targets, got 2 values"),
+    ({"n": [[1, 2]] * 4}, r"column 'n' in keep must contain .* got the type int64 and the shape \(4, 2\)"),
+    ({"t": Time([2000, 2001, 2002, 2003], format="jyear")}, "column 't' in keep must contain .* got a Time"),
+    ({"c": [1j] * 4}, "column 'c' in keep must contain"),
+    ({"u": np.full(4, 2**63, dtype=np.uint64)}, r"column 'u' in keep must contain integers below 2\*\*63, got 92"),
+    ({"o": np.array([{}, 1, 2, 3], dtype=object)}, "got objects of other types"),
+    ({"big": MaskedColumn([2**60, 1, 2, 3], mask=[0, 1, 0, 0])}, "'big' in keep must not have missing values"),
+    (5, "extra must be a dict or a table of columns, got int"),
+]
+
+
+@pytest.mark.parametrize(("columns", "message"), WRONG_COLUMNS)
 def test_columns_that_cannot_be_kept(columns, message):
     refused(message, rs.Catalog, COORD, extra=columns)
 

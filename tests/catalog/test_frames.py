@@ -294,21 +294,21 @@ def test_an_exception_of_another_package_names_the_frame():
     refused("DataFrame.* cannot be used as a table: the connection is closed", rs.Catalog.from_table, frame)
 
 
-@pytest.mark.parametrize(
-    ("values", "value", "rows"),
-    [
-        ([1800.0, 900.0, 1800.0], 1800, [1, 3]),
-        ([1800.0, 900.0, 1800.0], "1800", [1, 3]),
-        (np.array([0.1, 0.2, 0.1], "f4"), 0.1, [1, 3]),
-        ([1, 2, 1], 1.0, [1, 3]),
-        ([2**60, 2**60 + 1, 3], 2**60 + 1, [2]),
-        ([True, False, True], "true", [1, 3]),
-        ([True, False, True], "false", [2]),
-        (["a", "b", "A"], "a", [1]),
-        (MaskedColumn([1, 2, 1], mask=[False, False, True]), 1, [1]),
-        ([1800.0, 900.0, 1800.0] * u.s, 1800, [1, 3]),
-    ],
-)
+SELECTIONS = [
+    ([1800.0, 900.0, 1800.0], 1800, [1, 3]),
+    ([1800.0, 900.0, 1800.0], "1800", [1, 3]),
+    (np.array([0.1, 0.2, 0.1], "f4"), 0.1, [1, 3]),
+    ([1, 2, 1], 1.0, [1, 3]),
+    ([2**60, 2**60 + 1, 3], 2**60 + 1, [2]),
+    ([True, False, True], "true", [1, 3]),
+    ([True, False, True], "false", [2]),
+    (["a", "b", "A"], "a", [1]),
+    (MaskedColumn([1, 2, 1], mask=[False, False, True]), 1, [1]),
+    ([1800.0, 900.0, 1800.0] * u.s, 1800, [1, 3]),
+]
+
+
+@pytest.mark.parametrize(("values", "value", "rows"), SELECTIONS)
 def test_values_are_selected_as_numbers_and_flags(values, value, rows):
     """Values were compared only as text, so that 1800 selected no row of a column with 1800.0."""
     table = QTable({"id": [1, 2, 3], "ra": [1, 2, 3] * u.deg, "dec": [0, 0, 0] * u.deg})

@@ -58,14 +58,14 @@ def test_targets_with_masked_positions_are_removed(presets):
     assert len(rs.Catalog(SkyCoord(RA, DEC, distance=hide(np.ones(N)) * u.pc))) == N
 
 
-@pytest.mark.parametrize(
-    "epoch",
-    [
-        Time(hide(np.full(N, 2016.0)), format="jyear"),
-        hide(np.full(N, 2016.0) * u.yr),
-        *(mask(np.full(N, 2016.0), mask=MISSING) for mask in MASKS),
-    ],
-)
+MASKED_EPOCHS = [
+    Time(hide(np.full(N, 2016.0)), format="jyear"),
+    hide(np.full(N, 2016.0) * u.yr),
+    *(mask(np.full(N, 2016.0), mask=MISSING) for mask in MASKS),
+]
+
+
+@pytest.mark.parametrize("epoch", MASKED_EPOCHS)
 def test_masked_epochs_are_not_used(epoch):
     """The values under the mask were used."""
     text = r"epoch must be a time for every target with a proper motion, but 20 of 40 rows \(rows 1, 3, 5, ...\)"

@@ -74,19 +74,19 @@ def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     assert ((found - 1) * single < total).all()
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        (
-            {"exptime": [900, 0, 900, 900]},
-            "column 'exptime' must hold positive exposure times, got other values in 1 of",
-        ),
-        ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
-        ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
-        ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
-        ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
-    ],
-)
+BAD_LISTS = [
+    (
+        {"exptime": [900, 0, 900, 900]},
+        "column 'exptime' must hold positive exposure times, got other values in 1 of",
+    ),
+    ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
+    ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
+    ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
+    ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
+]
+
+
+@pytest.mark.parametrize(("columns", "message"), BAD_LISTS)
 def test_bad_target_lists_of_pfs_are_refused(columns, message):
     refused(message, lambda: rs.Catalog.from_table(target_list(**columns)))
 

@@ -100,24 +100,24 @@ def test_rng_decides(kind):
     assert len(first) != len(third) or not np.array_equal(first.arrays.vectors, third.arrays.vectors)
 
 
-@pytest.mark.parametrize(
-    ("kind", "options", "message"),
-    [
-        ("poison", {"n_targets": 1}, "unknown kind of synthetic catalog 'poison'.* Did you mean 'poisson'"),
-        ("uniform", {}, "n_targets or density must be given for a uniform catalog"),
-        ("uniform", {"n_targets": 1, "density": 1 / u.deg**2}, "give either n_targets or density, but not both"),
-        ("uniform", {"n_targets": -1}, "the number of targets must be from 0 to 1e.09, got -1"),
-        ("poisson", {"density": 5}, "density must be a Quantity"),
-        ("poisson", {"density": 5 / u.mm**2}, "density must have a unit convertible to 1 / sr"),
-        ("poisson_disc", {"n_targets": 1}, "min_separation must be given"),
-        ("clustered", {"n_targets": 1}, "cluster_scale must be given"),
-        (
-            "clustered",
-            {"n_targets": 1, "cluster_scale": 90 * DEG},
-            "cluster_scale must be one finite value above 0 deg and below 28 deg",
-        ),
-    ],
-)
+BAD_INPUT = [
+    ("poison", {"n_targets": 1}, "unknown kind of synthetic catalog 'poison'.* Did you mean 'poisson'"),
+    ("uniform", {}, "n_targets or density must be given for a uniform catalog"),
+    ("uniform", {"n_targets": 1, "density": 1 / u.deg**2}, "give either n_targets or density, but not both"),
+    ("uniform", {"n_targets": -1}, "the number of targets must be from 0 to 1e.09, got -1"),
+    ("poisson", {"density": 5}, "density must be a Quantity"),
+    ("poisson", {"density": 5 / u.mm**2}, "density must have a unit convertible to 1 / sr"),
+    ("poisson_disc", {"n_targets": 1}, "min_separation must be given"),
+    ("clustered", {"n_targets": 1}, "cluster_scale must be given"),
+    (
+        "clustered",
+        {"n_targets": 1, "cluster_scale": 90 * DEG},
+        "cluster_scale must be one finite value above 0 deg and below 28 deg",
+    ),
+]
+
+
+@pytest.mark.parametrize(("kind", "options", "message"), BAD_INPUT)
 def test_bad_input_is_named(kind, options, message):
     refused(message, lambda: rs.synthetic_catalog(kind, SkyCoord(0, 0, unit="deg"), 1 * DEG, **options))
 

@@ -134,21 +134,21 @@ def test_nothing_to_count():
     assert rs.collision.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
-        ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
-        ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
-        ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach; the first is the tip of"),
-        (
-            {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
-            "n_configurations can be given only with an Allocation",
-        ),
-        ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
-        ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
-    ],
-)
+BAD_INPUT = [
+    ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
+    ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
+    ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
+    ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach; the first is the tip of"),
+    (
+        {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
+        "n_configurations can be given only with an Allocation",
+    ),
+    ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
+    ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     refused(message, lambda: rs.collision.count_collisions(lamost_like(1), **arguments))
 

@@ -256,19 +256,19 @@ def test_the_fold_bound_is_sharp():
     assert len(folded.pairs) == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from .* must be .* to .* mm, got 30 mm"),
-        ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
-        ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
-        ({}, "either tips, or both theta and phi, must be given"),
-        ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
-        ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
-        ({"tips": [[3, 0], [30, 0]] * MM, "method": "guess"}, "unknown collision method 'guess'; choose one of: "),
-        ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness of an arm 'up'"),
-    ],
-)
+BAD_INPUT = [
+    ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from .* must be .* to .* mm, got 30 mm"),
+    ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
+    ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
+    ({}, "either tips, or both theta and phi, must be given"),
+    ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
+    ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
+    ({"tips": [[3, 0], [30, 0]] * MM, "method": "guess"}, "unknown collision method 'guess'; choose one of: "),
+    ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness of an arm 'up'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
     refused(message, lambda: rs.find_collisions(plane, **arguments))

@@ -110,14 +110,14 @@ def test_polygons_survive_tables_and_pickles(tmp_path):
     assert repr(plane) == "<FocalPlane of 61 positioners, 5 obstacles>"
 
 
-@pytest.mark.parametrize(
-    ("polygons", "sentence"),
-    [
-        ([[[0, 0], [1, 0]] * u.mm], r"obstacle_polygons\[0\] must have at least three vertices"),
-        ([[[0, 0], [4, 0], [1, 1], [0, 4]] * u.mm], r"obstacle_polygons\[0\] must be a convex polygon"),
-        ([[[0, 0], [4, 0], [1, 1]]], "unit"),
-        ([[0, 0], [4, 0], [1, 1]] * u.mm, "obstacle_polygons must be a list of polygons"),
-    ],
-)
+BAD_POLYGONS = [
+    ([[[0, 0], [1, 0]] * u.mm], r"obstacle_polygons\[0\] must have at least three vertices"),
+    ([[[0, 0], [4, 0], [1, 1], [0, 4]] * u.mm], r"obstacle_polygons\[0\] must be a convex polygon"),
+    ([[[0, 0], [4, 0], [1, 1]]], "unit"),
+    ([[0, 0], [4, 0], [1, 1]] * u.mm, "obstacle_polygons must be a list of polygons"),
+]
+
+
+@pytest.mark.parametrize(("polygons", "sentence"), BAD_POLYGONS)
 def test_bad_polygons_are_refused(polygons, sentence):
     refused(sentence, rs.FocalPlane, [[0, 0]] * u.mm, SEGMENT, obstacle_polygons=polygons)

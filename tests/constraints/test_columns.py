@@ -108,31 +108,31 @@ def test_an_unknown_column_is_an_error_that_lists_the_columns(sky, petals, name)
         assert str(error.value) == text
 
 
-@pytest.mark.parametrize(
-    ("groups", "message"),
-    [
-        ([1, 2], "groups must be a dict of arrays of integers, one per positioner, got [1, 2]"),
-        ({"petal": [1]}, "groups['petal'] must contain an integer for each positioner, shape (2,), got [1]"),
-        ({"petal": [0.5, 1]}, "groups['petal'] must be integers or text for every row, got numbers such as 0.5"),
-        (
-            {"petal": ["a", "b"]},
-            "groups['petal'] must contain an integer for each positioner, shape (2,), got ['a', 'b']",
-        ),
-        (
-            {"tile": [1, 2]},
-            "names of groups must be text without / that is not tile or the name of another column, got 'tile'",
-        ),
-        (
-            {"stuck_phi": [1, 2]},
-            "names of groups must be text without / that is not tile or the name of another column, got 'stuck_phi'",
-        ),
-        (
-            {"a/b": [1, 2]},
-            "names of groups must be text without / that is not tile or the name of another column, got 'a/b'",
-        ),
-        ({3: [1, 2]}, "names of groups must be text without / that is not tile or the name of another column, got 3"),
-    ],
-)
+WRONG_GROUPS = [
+    ([1, 2], "groups must be a dict of arrays of integers, one per positioner, got [1, 2]"),
+    ({"petal": [1]}, "groups['petal'] must contain an integer for each positioner, shape (2,), got [1]"),
+    ({"petal": [0.5, 1]}, "groups['petal'] must be integers or text for every row, got numbers such as 0.5"),
+    (
+        {"petal": ["a", "b"]},
+        "groups['petal'] must contain an integer for each positioner, shape (2,), got ['a', 'b']",
+    ),
+    (
+        {"tile": [1, 2]},
+        "names of groups must be text without / that is not tile or the name of another column, got 'tile'",
+    ),
+    (
+        {"stuck_phi": [1, 2]},
+        "names of groups must be text without / that is not tile or the name of another column, got 'stuck_phi'",
+    ),
+    (
+        {"a/b": [1, 2]},
+        "names of groups must be text without / that is not tile or the name of another column, got 'a/b'",
+    ),
+    ({3: [1, 2]}, "names of groups must be text without / that is not tile or the name of another column, got 3"),
+]
+
+
+@pytest.mark.parametrize(("groups", "message"), WRONG_GROUPS)
 def test_groups_of_the_wrong_form_are_errors(groups, message):
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
     with pytest.raises(rs.InputError) as error:

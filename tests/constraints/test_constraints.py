@@ -26,16 +26,16 @@ class Faint(rs.constraints.Constraint):
         return field.column(self.column) < self.limit
 
 
-@pytest.mark.parametrize(
-    ("text", "kind"),
-    [
-        ("sky=20/spectrograph", rs.Requirement),
-        ("required 4711", rs.Required),
-        ("required 'star 7' b", rs.Required),
-        ("keep_out 95.0 23.0 0.01", rs.KeepOut),
-        ("keep_out 95.0 23.0 0.01 96.5 -23.0 0.02", rs.KeepOut),
-    ],
-)
+WRITTEN_FORMS = [
+    ("sky=20/spectrograph", rs.Requirement),
+    ("required 4711", rs.Required),
+    ("required 'star 7' b", rs.Required),
+    ("keep_out 95.0 23.0 0.01", rs.KeepOut),
+    ("keep_out 95.0 23.0 0.01 96.5 -23.0 0.02", rs.KeepOut),
+]
+
+
+@pytest.mark.parametrize(("text", "kind"), WRITTEN_FORMS)
 def test_constraints_are_read_as_they_are_written(text, kind):
     (one,) = as_constraints(text)
     assert (type(one), str(one)) == (kind, text)
@@ -72,26 +72,26 @@ def test_a_circle_may_contain_commas():
     assert str(as_constraints("keep_out 95.0,23.0,0.01")[0]) == "keep_out 95.0 23.0 0.01"
 
 
-@pytest.mark.parametrize(
-    ("wrong", "words"),
-    [
-        ("keep_out 95 23", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
-        ("keep_out", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
-        ("keep_out 95 99 1", "declinations must lie between -90 and 90 deg"),
-        ("keep_out a b c", "keep_out must have the form"),
-        ("required", "required must have the form 'required ID ...'"),
-        ("required 'a", "No closing quotation"),
-        ("keepout 95 23 1", f"unknown constraint 'keepout'; choose one of: {', '.join(sorted(BUILT_IN)[:2])},"),
-        ("sky", "unknown constraint 'sky'"),
-        ("", "unknown constraint ''"),
-        ("sky=x", "a requirement must have a form such as"),
-        ("required=1003", "the constraint 'required' must have a space after its name, got 'required=1003'"),
-        ("keep_out@BOSS=3-7/spectrograph", "the text of the constraint 'keep_out' must have a space after its name"),
-        ("required=star7", "the text of the constraint 'required' must have a space after its name"),
-        ([3], "a constraint must be a Constraint or text"),
-        (3, "constraints must be a list of constraints or text, got 3"),
-    ],
-)
+WRONG_FORMS = [
+    ("keep_out 95 23", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
+    ("keep_out", "keep_out must have the form 'keep_out RA DEC RADIUS'"),
+    ("keep_out 95 99 1", "declinations must lie between -90 and 90 deg"),
+    ("keep_out a b c", "keep_out must have the form"),
+    ("required", "required must have the form 'required ID ...'"),
+    ("required 'a", "No closing quotation"),
+    ("keepout 95 23 1", f"unknown constraint 'keepout'; choose one of: {', '.join(sorted(BUILT_IN)[:2])},"),
+    ("sky", "unknown constraint 'sky'"),
+    ("", "unknown constraint ''"),
+    ("sky=x", "a requirement must have a form such as"),
+    ("required=1003", "the constraint 'required' must have a space after its name, got 'required=1003'"),
+    ("keep_out@BOSS=3-7/spectrograph", "the text of the constraint 'keep_out' must have a space after its name"),
+    ("required=star7", "the text of the constraint 'required' must have a space after its name"),
+    ([3], "a constraint must be a Constraint or text"),
+    (3, "constraints must be a list of constraints or text, got 3"),
+]
+
+
+@pytest.mark.parametrize(("wrong", "words"), WRONG_FORMS)
 def test_anything_else_causes_an_error(wrong, words):
     refused(words, rs.AllocationOptions, constraints=wrong)
 

@@ -132,26 +132,26 @@ def rules_of(sky, one, rule):
     return tile, [str(w.message) for w in caught]
 
 
-@pytest.mark.parametrize(
-    ("dy", "mags", "rule", "number", "verdict", "text"),
-    [
-        ([0], [12], "guide_stars g 10 15 1", 1, "pass", "north has 1"),
-        ([0, 1], [12, 15], "guide_stars g 10 15 1 1 north", 1, "pass", "north has 1"),
-        ([5], [12], "guide_stars g 10 15 1", 0, "fail", "north has 0 (the next star is 3 mm away from it)"),
-        (
-            [0, 1, -4.5],
-            [15, 9.5, 11],
-            "guide_stars g 10 15 2",
-            0,
-            "fail",
-            "north has 0 (the next star is 2.5 mm away from it and the next star on it has magnitude 15)",
-        ),
-        ([0], [np.nan], "guide_stars g 10 15 2", 0, "fail", "north has 0 (no other star is known)"),
-        ([0, 1], [7.9, 8.1], "guide_stars g -inf 8 0 0", 1, "fail", "north has 1 (magnitudes 7.9)"),
-        ([0, 1], [8, 8.1], "guide_stars g -inf 8 0 0", 0, "pass", "north has 0"),
-        ([0, 1, -1], [8, 8.1, 9], "guide_stars g 7 15 1 2", 3, "fail", "north has 3 (magnitudes 8, 8.1, 9)"),
-    ],
-)
+VIOLATIONS = [
+    ([0], [12], "guide_stars g 10 15 1", 1, "pass", "north has 1"),
+    ([0, 1], [12, 15], "guide_stars g 10 15 1 1 north", 1, "pass", "north has 1"),
+    ([5], [12], "guide_stars g 10 15 1", 0, "fail", "north has 0 (the next star is 3 mm away from it)"),
+    (
+        [0, 1, -4.5],
+        [15, 9.5, 11],
+        "guide_stars g 10 15 2",
+        0,
+        "fail",
+        "north has 0 (the next star is 2.5 mm away from it and the next star on it has magnitude 15)",
+    ),
+    ([0], [np.nan], "guide_stars g 10 15 2", 0, "fail", "north has 0 (no other star is known)"),
+    ([0, 1], [7.9, 8.1], "guide_stars g -inf 8 0 0", 1, "fail", "north has 1 (magnitudes 7.9)"),
+    ([0, 1], [8, 8.1], "guide_stars g -inf 8 0 0", 0, "pass", "north has 0"),
+    ([0, 1, -1], [8, 8.1, 9], "guide_stars g 7 15 1 2", 3, "fail", "north has 3 (magnitudes 8, 8.1, 9)"),
+]
+
+
+@pytest.mark.parametrize(("dy", "mags", "rule", "number", "verdict", "text"), VIOLATIONS)
 def test_a_violation_is_stated_before_fibers_are_assigned(dy, mags, rule, number, verdict, text, one):
     """The sentence states how close a camera is to the limits; plans and their files contain the same verdict."""
     seen = []
@@ -232,20 +232,20 @@ def test_a_survey_names_the_tiles_without_guide_stars(in_folder, one, tmp_path):
         assert not any("cannot meet" in str(w.message) for w in caught)
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("guide_stars g 15 10 1", "the brightest magnitude of 'g' must be smaller than the faintest magnitude 10"),
-        ("guide_stars g 10 15", "the constraint must have the form 'guide_stars COLUMN BRIGHTEST FAINTEST MINIMUM"),
-        ("guide_stars g 10 15 0", "guide stars must have a minimum above 0 or a maximum, got neither"),
-        ("guide_stars g 10 15 -1", "the minimum of guide stars must be a whole number of at least 0, got -1"),
-        ("guide_stars g 10 15 3 2", "the maximum of guide stars must be a whole number of at least 3, or inf, got 2"),
-        ("guide_stars g 10 15 1 1.5", "the maximum of guide stars must be a whole number of at least 1, or inf"),
-        ("guide_stars gg 10 15 1", "the catalog must have the column 'gg'"),
-        ("guide_stars g 10 15 1 inf south", "unknown camera of one 'south'; choose one of: north"),
-        ("guide_stars g 10 15 1 inf north nowhere.ecsv", "nowhere.ecsv"),
-    ],
-)
+WRONG_RULES = [
+    ("guide_stars g 15 10 1", "the brightest magnitude of 'g' must be smaller than the faintest magnitude 10"),
+    ("guide_stars g 10 15", "the constraint must have the form 'guide_stars COLUMN BRIGHTEST FAINTEST MINIMUM"),
+    ("guide_stars g 10 15 0", "guide stars must have a minimum above 0 or a maximum, got neither"),
+    ("guide_stars g 10 15 -1", "the minimum of guide stars must be a whole number of at least 0, got -1"),
+    ("guide_stars g 10 15 3 2", "the maximum of guide stars must be a whole number of at least 3, or inf, got 2"),
+    ("guide_stars g 10 15 1 1.5", "the maximum of guide stars must be a whole number of at least 1, or inf"),
+    ("guide_stars gg 10 15 1", "the catalog must have the column 'gg'"),
+    ("guide_stars g 10 15 1 inf south", "unknown camera of one 'south'; choose one of: north"),
+    ("guide_stars g 10 15 1 inf north nowhere.ecsv", "nowhere.ecsv"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_RULES)
 def test_wrong_rules_get_one_sentence(text, message, one):
     with pytest.raises(rs.InputError) as error:
         rules_of(catalog([0], [12]), one, text)
@@ -257,16 +257,16 @@ def test_an_instrument_without_cameras_is_refused(one):
         rules_of(catalog([0], [12]), replace(one, values={}), "guide_stars g 10 15 1")
 
 
-@pytest.mark.parametrize(
-    ("value", "unit", "message"),
-    [
-        (SQUARE, '"mm"', None),
-        ([[0, 0], [0.1, 0], [0, 0.1]], '"cm"', None),
-        ([[0, 0], [1, 1], [2, 2]], '"mm"', "cameras.north must be the corners of a camera, which are at least three"),
-        ([[0, 0], [1, 1]], '"mm"', "cameras.north must be the corners of a camera"),
-        (SQUARE, '"deg"', "the unit of cameras.north must be convertible to mm"),
-    ],
-)
+WRONG_CAMERAS = [
+    (SQUARE, '"mm"', None),
+    ([[0, 0], [0.1, 0], [0, 0.1]], '"cm"', None),
+    ([[0, 0], [1, 1], [2, 2]], '"mm"', "cameras.north must be the corners of a camera, which are at least three"),
+    ([[0, 0], [1, 1]], '"mm"', "cameras.north must be the corners of a camera"),
+    (SQUARE, '"deg"', "the unit of cameras.north must be convertible to mm"),
+]
+
+
+@pytest.mark.parametrize(("value", "unit", "message"), WRONG_CAMERAS)
 def test_cameras_of_a_file_are_validated(value, unit, message, tmp_path):
     path = tmp_path / "one.toml"
     path.write_text(TOML.format(value=value, unit=unit))

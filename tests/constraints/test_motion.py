@@ -23,14 +23,14 @@ def test_the_text_form_contains_the_law_of_time():
     assert rs.AllocationOptions(constraints=one).record["constraints"] == ["motion fold same_speed"]
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("motion", "the constraint must have the form 'motion MOTION LAW'"),
-        ("motion unfold", "kind of motion 'unfold'"),
-        ("motion fold slowly", "law of time 'slowly'"),
-    ],
-)
+WRONG_TEXT = [
+    ("motion", "the constraint must have the form 'motion MOTION LAW'"),
+    ("motion unfold", "kind of motion 'unfold'"),
+    ("motion fold slowly", "law of time 'slowly'"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_TEXT)
 def test_wrong_text_is_refused(text, message):
     refused(message, as_constraints, text)
 

@@ -29,46 +29,46 @@ def test_a_requirement_is_read_as_it_is_written(one):
     assert repr(one) == f"Requirement({str(one)!r})"
 
 
-@pytest.mark.parametrize(
-    ("text", "fields"),
-    [
-        ("sky=20", ("sky", 20, None, "tile", "")),
-        ("sky=20/spectrograph", ("sky", 20, None, "spectrograph", "")),
-        ("sky=20/tile", ("sky", 20, None, "tile", "")),
-        ("standard@BOSS=50-70", ("standard", 50, 70, "tile", "BOSS")),
-        ("sky_boss=-300", ("sky_boss", 0, 300, "tile", "")),
-        ("my own @x=007-7/spectrograph", ("my own", 7, 7, "spectrograph", "x")),
-    ],
-)
+TEXTS = [
+    ("sky=20", ("sky", 20, None, "tile", "")),
+    ("sky=20/spectrograph", ("sky", 20, None, "spectrograph", "")),
+    ("sky=20/tile", ("sky", 20, None, "tile", "")),
+    ("standard@BOSS=50-70", ("standard", 50, 70, "tile", "BOSS")),
+    ("sky_boss=-300", ("sky_boss", 0, 300, "tile", "")),
+    ("my own @x=007-7/spectrograph", ("my own", 7, 7, "spectrograph", "x")),
+]
+
+
+@pytest.mark.parametrize(("text", "fields"), TEXTS)
 def test_text_says_what_the_fields_say(text, fields):
     one = rs.Requirement.parse(text)
     assert (one.what, one.minimum, one.maximum, one.per, one.fiber_type) == fields
 
 
-@pytest.mark.parametrize(
-    "text",
-    [
-        "",
-        "sky",
-        "sky=",
-        "=3",
-        " =3",
-        "@BOSS=3",
-        "sky=-",
-        "sky=x",
-        "sky=3.5",
-        "sky=--3",
-        "sky=3-4-5",
-        "sky@=3",
-        "sky@a@b=3",
-        "sky=3/",
-        "a/b=3",
-        "a=b=3",
-        "sky=1e3",
-        "sky=+3",
-        "sky=3/spectrograph/x/",
-    ],
-)
+OTHER_TEXTS = [
+    "",
+    "sky",
+    "sky=",
+    "=3",
+    " =3",
+    "@BOSS=3",
+    "sky=-",
+    "sky=x",
+    "sky=3.5",
+    "sky=--3",
+    "sky=3-4-5",
+    "sky@=3",
+    "sky@a@b=3",
+    "sky=3/",
+    "a/b=3",
+    "a=b=3",
+    "sky=1e3",
+    "sky=+3",
+    "sky=3/spectrograph/x/",
+]
+
+
+@pytest.mark.parametrize("text", OTHER_TEXTS)
 def test_text_of_another_form_is_an_error(text):
     with pytest.raises(rs.InputError) as error:
         rs.Requirement.parse(text)
@@ -96,24 +96,24 @@ def test_a_number_of_any_length_is_no_crash():
         rs.Requirement.parse("sky=" + 5000 * "9")
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (("",), "a requirement must contain the name of a kind or category of targets, got ''"),
-        ((" ",), "a requirement must contain the name of a kind or category of targets, got ' '"),
-        ((None,), "a requirement must contain the name of a kind or category of targets, got None"),
-        (("sky", -1), "minimum of 'sky' must be a whole number from 0 to 10^9, got -1"),
-        (("sky", 1.0), "minimum of 'sky' must be a whole number from 0 to 10^9, got 1.0"),
-        (("sky", True), "minimum of 'sky' must be a whole number from 0 to 10^9, got True"),
-        (("sky", None), "minimum of 'sky' must be a whole number from 0 to 10^9, got None"),
-        (("sky", 0, -1), "maximum of 'sky' must be a whole number from 0 to 10^9, got -1"),
-        (("sky", 0, "9"), "maximum of 'sky' must be a whole number from 0 to 10^9, got '9'"),
-        (("sky", 5, 4), "the minimum of the requirement on 'sky' must not exceed its maximum 4, got 5"),
-        (("sky", 5, None, "a/b"), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got 'a/b'"),
-        (("sky", 5, None, " "), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got ' '"),
-        (("sky", 5, None, None), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got None"),
-    ],
-)
+IMPOSSIBLE_FIELDS = [
+    (("",), "a requirement must contain the name of a kind or category of targets, got ''"),
+    ((" ",), "a requirement must contain the name of a kind or category of targets, got ' '"),
+    ((None,), "a requirement must contain the name of a kind or category of targets, got None"),
+    (("sky", -1), "minimum of 'sky' must be a whole number from 0 to 10^9, got -1"),
+    (("sky", 1.0), "minimum of 'sky' must be a whole number from 0 to 10^9, got 1.0"),
+    (("sky", True), "minimum of 'sky' must be a whole number from 0 to 10^9, got True"),
+    (("sky", None), "minimum of 'sky' must be a whole number from 0 to 10^9, got None"),
+    (("sky", 0, -1), "maximum of 'sky' must be a whole number from 0 to 10^9, got -1"),
+    (("sky", 0, "9"), "maximum of 'sky' must be a whole number from 0 to 10^9, got '9'"),
+    (("sky", 5, 4), "the minimum of the requirement on 'sky' must not exceed its maximum 4, got 5"),
+    (("sky", 5, None, "a/b"), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got 'a/b'"),
+    (("sky", 5, None, " "), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got ' '"),
+    (("sky", 5, None, None), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got None"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), IMPOSSIBLE_FIELDS)
 def test_impossible_fields_are_named(arguments, message):
     with pytest.raises(rs.InputError) as error:
         rs.Requirement(*arguments)
@@ -124,19 +124,19 @@ def short(what="sky", place=None, requested=5, found=2, possible=9, **options):
     return Shortfall(what and rs.Requirement(what, 5, **options), place, requested, found, possible)
 
 
-@pytest.mark.parametrize(
-    ("one", "sentence"),
-    [
-        (short(), "sky targets: 2 of 5, 3 missing"),
-        (short(possible=5), "sky targets: 2 of 5, 3 missing"),
-        (short(possible=4), "sky targets: 2 of 5, 3 missing; only 4 are in reach"),
-        (short(possible=1, found=1), "sky targets: 1 of 5, 4 missing; only 1 is in reach"),
-        (short(possible=0, found=0), "sky targets: 0 of 5, 5 missing; none is in reach"),
-        (short(found=7, place=3), "sky targets in spectrograph 3: 7, 2 more than the maximum of 5"),
-        (short(fiber_type="BOSS", place=0), "sky targets for BOSS in spectrograph 0: 2 of 5, 3 missing"),
-        (short(None, requested=3), "required targets: 2 of 3, 1 missing"),
-    ],
-)
+SHORTFALLS = [
+    (short(), "sky targets: 2 of 5, 3 missing"),
+    (short(possible=5), "sky targets: 2 of 5, 3 missing"),
+    (short(possible=4), "sky targets: 2 of 5, 3 missing; only 4 are in reach"),
+    (short(possible=1, found=1), "sky targets: 1 of 5, 4 missing; only 1 is in reach"),
+    (short(possible=0, found=0), "sky targets: 0 of 5, 5 missing; none is in reach"),
+    (short(found=7, place=3), "sky targets in spectrograph 3: 7, 2 more than the maximum of 5"),
+    (short(fiber_type="BOSS", place=0), "sky targets for BOSS in spectrograph 0: 2 of 5, 3 missing"),
+    (short(None, requested=3), "required targets: 2 of 3, 1 missing"),
+]
+
+
+@pytest.mark.parametrize(("one", "sentence"), SHORTFALLS)
 def test_a_shortfall_is_a_sentence(one, sentence):
     assert str(one) == sentence
     assert sentences([one]) == [sentence]

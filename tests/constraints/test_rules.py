@@ -296,31 +296,31 @@ def test_targets_without_a_fiber_type_follow_the_rules_of_the_fiber_that_they_ge
         assert least or np.nanmin(mags) < 10
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        (
-            "magnitude mag 17 12",
-            "the brightest magnitude of 'mag' must be smaller than the faintest magnitude 12, got 17",
-        ),
-        ("magnitude mag x 12", "the constraint must have the form 'magnitude COLUMN BRIGHTEST FAINTEST"),
-        ("magnitude mag nan 12", "the brightest magnitude of 'mag' must be a number, got nan"),
-        ("magnitude mag 1 12 science '' never", "unknown treatment of missing magnitudes 'never'"),
-        ("magnitude gag 12 17", "the catalog must have the column 'gag', but its further columns are: mag, word"),
-        ("magnitude word 12 17", "the column 'word' must contain magnitudes, got values of the type str"),
-        ("magnitude mag 12 17 science BOSS", "'BOSS'"),
-        ("bright_stars gag 8:60", "the catalog must have the column 'gag'"),
-        ("bright_stars mag 8:60,7:10", "must have ascending magnitudes and radii of at least 0, got '8:60,7:10'"),
-        ("bright_stars mag 8:-60", "must have ascending magnitudes and radii of at least 0"),
-        ("bright_stars mag sdssv_dim:12", "the radius around bright stars must be a table such as '8:60,12:10'"),
-        ("bright_stars mag sdssv_dark:nan", "the radius around bright stars must be a table such as '8:60,12:10'"),
-        ("bright_stars mag 8:60 '' nowhere.ecsv", "nowhere.ecsv"),
-        ("distribution sky 0 95 75", "k of a distribution must be"),
-        ("distribution sky 1 101 75", "percent of a distribution must be a number from 0 to 100, got 101"),
-        ("distribution sky 1 95 inf", "distance_mm of a distribution must be a number from 0 to 1e"),
-        ("contrast mag -1", "the largest contrast must be a number from 0 to 1000, got -1"),
-    ],
-)
+WRONG_RULES = [
+    (
+        "magnitude mag 17 12",
+        "the brightest magnitude of 'mag' must be smaller than the faintest magnitude 12, got 17",
+    ),
+    ("magnitude mag x 12", "the constraint must have the form 'magnitude COLUMN BRIGHTEST FAINTEST"),
+    ("magnitude mag nan 12", "the brightest magnitude of 'mag' must be a number, got nan"),
+    ("magnitude mag 1 12 science '' never", "unknown treatment of missing magnitudes 'never'"),
+    ("magnitude gag 12 17", "the catalog must have the column 'gag', but its further columns are: mag, word"),
+    ("magnitude word 12 17", "the column 'word' must contain magnitudes, got values of the type str"),
+    ("magnitude mag 12 17 science BOSS", "'BOSS'"),
+    ("bright_stars gag 8:60", "the catalog must have the column 'gag'"),
+    ("bright_stars mag 8:60,7:10", "must have ascending magnitudes and radii of at least 0, got '8:60,7:10'"),
+    ("bright_stars mag 8:-60", "must have ascending magnitudes and radii of at least 0"),
+    ("bright_stars mag sdssv_dim:12", "the radius around bright stars must be a table such as '8:60,12:10'"),
+    ("bright_stars mag sdssv_dark:nan", "the radius around bright stars must be a table such as '8:60,12:10'"),
+    ("bright_stars mag 8:60 '' nowhere.ecsv", "nowhere.ecsv"),
+    ("distribution sky 0 95 75", "k of a distribution must be"),
+    ("distribution sky 1 101 75", "percent of a distribution must be a number from 0 to 100, got 101"),
+    ("distribution sky 1 95 inf", "distance_mm of a distribution must be a number from 0 to 1e"),
+    ("contrast mag -1", "the largest contrast must be a number from 0 to 1000, got -1"),
+]
+
+
+@pytest.mark.parametrize(("text", "message"), WRONG_RULES)
 def test_wrong_rules_get_one_sentence(text, message, sky, small):
     with pytest.raises(rs.InputError) as error:
         plan(sky, small, text)

@@ -209,15 +209,15 @@ def test_collision_probabilities_refuse_constraints(small):
         rs.collision_probability(small.focal_plane, method="monte_carlo", allocator=options("lamost_rule"))
 
 
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        (lambda field: field.extra["color"], "the constraint 'wrong' failed: KeyError: 'color'"),
-        (lambda field: field.column("color"), "must have the column 'color', but its further columns are: mag"),
-        (lambda field: [True], "the constraint 'wrong' must return one boolean per target, shape"),
-        (lambda field: field.xy[:, 0], "the constraint 'wrong' must return one boolean per target, shape"),
-    ],
-)
+WRONG_ANSWERS = [
+    (lambda field: field.extra["color"], "the constraint 'wrong' failed: KeyError: 'color'"),
+    (lambda field: field.column("color"), "must have the column 'color', but its further columns are: mag"),
+    (lambda field: [True], "the constraint 'wrong' must return one boolean per target, shape"),
+    (lambda field: field.xy[:, 0], "the constraint 'wrong' must return one boolean per target, shape"),
+]
+
+
+@pytest.mark.parametrize(("answer", "words"), WRONG_ANSWERS)
 def test_a_wrong_answer_names_the_constraint(sky, small, answer, words):
     @dataclass(frozen=True)
     class Wrong(rs.constraints.Constraint):

@@ -264,21 +264,21 @@ def test_tables_keep_all_columns():
     assert again.theta_range is None
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"eccentric_arm": np.ones(2) * MM}, "fiber_xy must be given without eccentric_arm"),
-        ({"fiber_xy": {"A": np.ones((2, 2)) * MM}}, "fiber_xy must have the fiber type 'B', got 'A'"),
-        ({"fiber_xy": np.ones((2, 2)) * MM}, "fiber_xy must be a dict with the fiber types A, B, got one array"),
-        ({"fiber_xy": {"A": np.ones((3, 2)) * MM, "B": np.ones((2, 2)) * MM}}, "'A' must have the shape .2, 2."),
-        ({"fiber_xy": {"A": np.ones((2, 2)) * MM, "B": np.zeros((2, 2)) * MM}}, "not \\(0, 0\\) mm .* positioner 0"),
-        ({"zero_points": np.ones(2) * DEG}, "zero_points must have the shape .2, 2., got .2,."),
-        ({"zero_points": [[0, 0], [0, np.nan]] * DEG}, "zero_points must be two finite angles .* for positioner 1"),
-        ({"phi_range": [[0, 90], [90, 0]] * DEG}, "phi_range must be .low, high. with low < high, .* for positioner 1"),
-        ({"theta_range": [[0, 90], [np.nan, 0]] * DEG}, "theta_range must be .low, high. with low < high"),
-        ({"zero_points": np.ones((2, 2)) * MM}, "zero_points must have a unit convertible to rad"),
-    ],
-)
+COLUMNS = [
+    ({"eccentric_arm": np.ones(2) * MM}, "fiber_xy must be given without eccentric_arm"),
+    ({"fiber_xy": {"A": np.ones((2, 2)) * MM}}, "fiber_xy must have the fiber type 'B', got 'A'"),
+    ({"fiber_xy": np.ones((2, 2)) * MM}, "fiber_xy must be a dict with the fiber types A, B, got one array"),
+    ({"fiber_xy": {"A": np.ones((3, 2)) * MM, "B": np.ones((2, 2)) * MM}}, "'A' must have the shape .2, 2."),
+    ({"fiber_xy": {"A": np.ones((2, 2)) * MM, "B": np.zeros((2, 2)) * MM}}, "not \\(0, 0\\) mm .* positioner 0"),
+    ({"zero_points": np.ones(2) * DEG}, "zero_points must have the shape .2, 2., got .2,."),
+    ({"zero_points": [[0, 0], [0, np.nan]] * DEG}, "zero_points must be two finite angles .* for positioner 1"),
+    ({"phi_range": [[0, 90], [90, 0]] * DEG}, "phi_range must be .low, high. with low < high, .* for positioner 1"),
+    ({"theta_range": [[0, 90], [np.nan, 0]] * DEG}, "theta_range must be .low, high. with low < high"),
+    ({"zero_points": np.ones((2, 2)) * MM}, "zero_points must have a unit convertible to rad"),
+]
+
+
+@pytest.mark.parametrize(("columns", "message"), COLUMNS)
 def test_columns_that_are_refused(columns, message):
     given = {"fiber_xy": {"A": np.ones((2, 2)) * MM, "B": np.ones((2, 2)) * MM}} | columns
     robot = rs.Positioner(7 * MM, 8 * MM, 1 * MM)

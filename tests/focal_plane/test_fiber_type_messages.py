@@ -17,15 +17,18 @@ def plane_of(presets, *fiber_types):
     return rs.FocalPlane(CENTERS, presets["sdss_apo"].focal_plane.positioner, **columns)
 
 
-@pytest.mark.parametrize(
-    ("fiber_types", "text"),
-    [
-        ((), "arm_angle must be one angle, because the positioners of the focal plane have no fiber types, got angles "
-             "for BOSS, APOGEE; give the column fiber_type of the focal plane, or one angle"),
-        (("BOS", "APOGEE"), "arm_angle must have the fiber types of the focal plane, BOS, APOGEE, got BOSS; correct"),
-        (("BOS", "BOS"), "arm_angle must have the fiber types of the focal plane, BOS, got BOSS, APOGEE; correct"),
-    ],
-)  # fmt: skip
+OTHER_ANGLES = [
+    (
+        (),
+        "arm_angle must be one angle, because the positioners of the focal plane have no fiber types, got angles "
+        "for BOSS, APOGEE; give the column fiber_type of the focal plane, or one angle",
+    ),
+    (("BOS", "APOGEE"), "arm_angle must have the fiber types of the focal plane, BOS, APOGEE, got BOSS; correct"),
+    (("BOS", "BOS"), "arm_angle must have the fiber types of the focal plane, BOS, got BOSS, APOGEE; correct"),
+]
+
+
+@pytest.mark.parametrize(("fiber_types", "text"), OTHER_ANGLES)
 def test_angles_of_other_fiber_types_are_explained(presets, fiber_types, text):
     plane = plane_of(presets, *fiber_types)
     refused(text, rs.find_collisions, plane, CENTERS + 15 * u.mm)

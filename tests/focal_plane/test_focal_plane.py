@@ -192,30 +192,30 @@ def test_table_round_trip(tmp_path):
     assert rs.FocalPlane.from_table(Table({"x": [0, 1] * u.cm, "y": [0, 0] * u.cm}), robot()).xy[1, 0] == 10 * MM
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
-        ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
-        ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
-        ({"x": [0] * MM, "y": [0] * MM}, "without the argument positioner, the meta of the table must have an entry"),
-    ],
-)
+BAD_TABLES = [
+    ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
+    ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
+    ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
+    ({"x": [0] * MM, "y": [0] * MM}, "without the argument positioner, the meta of the table must have an entry"),
+]
+
+
+@pytest.mark.parametrize(("table", "message"), BAD_TABLES)
 def test_bad_tables_are_named(table, message):
     refused(message, lambda: rs.FocalPlane.from_table(QTable(table)))
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("disable", "the column 'disable' is ignored; did you mean 'disabled'?"),
-        ("Central_Arm", "the column 'Central_Arm' is ignored; did you mean 'central_arm'?"),
-        ("stuck_theta", "the column 'stuck_theta' is ignored, because there is no column 'stuck_phi'"),
-        ("phi_max", "the column 'phi_max' is ignored, because there is no column 'phi_min'"),
-        ("fiber_x_A", "the column 'fiber_x_A' is ignored, because there is no column 'fiber_y_A'"),
-        ("fiber_y", "the column 'fiber_y' is ignored, because there is no column 'fiber_x'"),
-    ],
-)
+IGNORED_COLUMNS = [
+    ("disable", "the column 'disable' is ignored; did you mean 'disabled'?"),
+    ("Central_Arm", "the column 'Central_Arm' is ignored; did you mean 'central_arm'?"),
+    ("stuck_theta", "the column 'stuck_theta' is ignored, because there is no column 'stuck_phi'"),
+    ("phi_max", "the column 'phi_max' is ignored, because there is no column 'phi_min'"),
+    ("fiber_x_A", "the column 'fiber_x_A' is ignored, because there is no column 'fiber_y_A'"),
+    ("fiber_y", "the column 'fiber_y' is ignored, because there is no column 'fiber_x'"),
+]
+
+
+@pytest.mark.parametrize(("name", "message"), IGNORED_COLUMNS)
 def test_ignored_columns_of_tables_are_named(name, message):
     """A misspelled column of disabled positioners made these positioners usable without a message."""
     table = QTable({"x": [0, 30] * MM, "y": [0, 0] * MM, name: [1, 0]})
@@ -227,23 +227,23 @@ def test_other_columns_of_tables_are_allowed():
     assert len(rs.FocalPlane.from_table(table, robot())) == 2
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"xy": [[0, 0], [0, 0]] * MM}, "two positioners have the same center"),
-        ({"xy": np.empty((0, 2)) * MM}, "at least one positioner"),
-        ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, got 1 rows"),
-        ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
-        ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
-        ({"id": [1]}, "id must have one value per positioner"),
-        ({"id": ["a b", "c"]}, "id must be text without blanks, because tables separate ids by blanks, got 'a b'"),
-        ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
-        ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
-        ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
-        ({"obstacles": [[1, 2]] * MM}, "obstacles must have rows"),
-        ({"spectrograph": [[0, 1], [0, 1]]}, "spectrograph must have the shape"),
-    ],
-)
+BAD_INPUT = [
+    ({"xy": [[0, 0], [0, 0]] * MM}, "two positioners have the same center"),
+    ({"xy": np.empty((0, 2)) * MM}, "at least one positioner"),
+    ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, got 1 rows"),
+    ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
+    ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
+    ({"id": [1]}, "id must have one value per positioner"),
+    ({"id": ["a b", "c"]}, "id must be text without blanks, because tables separate ids by blanks, got 'a b'"),
+    ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
+    ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
+    ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
+    ({"obstacles": [[1, 2]] * MM}, "obstacles must have rows"),
+    ({"spectrograph": [[0, 1], [0, 1]]}, "spectrograph must have the shape"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     good = {"xy": [[0, 0], [30, 0]] * MM, "positioner": robot()}
     refused(message, lambda: rs.FocalPlane(**{**good, **arguments}))

@@ -249,19 +249,19 @@ def test_without_margins_nothing_is_recorded():
     assert plane.arrays.edges[1] is plane.arrays.outer_radius
 
 
-@pytest.mark.parametrize(
-    ("margins", "text"),
-    [
-        ({"outer": -1 * u.mm}, "the margin outer must be one finite value of at least 0 mm"),
-        ({"inner": 1 * u.deg}, "the margin inner"),
-        ({"broken": np.nan * u.mm}, "the margin broken must be one finite value"),
-        ({"arms": 0.1}, "the margin arms"),
-        ({"broken_factor": -0.1}, "the margin broken_factor must be a number of at least 0"),
-        ({"hidden_factor": 0.9}, "the margin hidden_factor must be a number of at least 1"),
-        ({"hidden_factor": True}, "the margin hidden_factor must be a number of at least 1"),
-        ({"other": 1 * u.mm}, "other"),
-    ],
-)
+WRONG_MARGINS = [
+    ({"outer": -1 * u.mm}, "the margin outer must be one finite value of at least 0 mm"),
+    ({"inner": 1 * u.deg}, "the margin inner"),
+    ({"broken": np.nan * u.mm}, "the margin broken must be one finite value"),
+    ({"arms": 0.1}, "the margin arms"),
+    ({"broken_factor": -0.1}, "the margin broken_factor must be a number of at least 0"),
+    ({"hidden_factor": 0.9}, "the margin hidden_factor must be a number of at least 1"),
+    ({"hidden_factor": True}, "the margin hidden_factor must be a number of at least 1"),
+    ({"other": 1 * u.mm}, "other"),
+]
+
+
+@pytest.mark.parametrize(("margins", "text"), WRONG_MARGINS)
 def test_values_that_are_not_margins(margins, text):
     refused(text, lambda: rs.Margins(**margins))
 

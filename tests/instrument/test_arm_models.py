@@ -110,14 +110,14 @@ def test_the_provenance_omits_arm_models_that_are_not_used(presets):
     assert "positioner.full_outline" not in desi.with_arm_model("elbow_to_tip").provenance["values"]
 
 
-@pytest.mark.parametrize(
-    ("name", "models"),
-    [
-        ("desi", ("outline", "elbow_to_tip", "fiber_tip")),
-        ("sdss_apo", ("capsule", "elbow_to_tip", "fiber_tip")),
-        ("pfs", ("elbow_to_tip", "fiber_tip")),
-    ],
-)
+ARM_MODELS = [
+    ("desi", ("outline", "elbow_to_tip", "fiber_tip")),
+    ("sdss_apo", ("capsule", "elbow_to_tip", "fiber_tip")),
+    ("pfs", ("elbow_to_tip", "fiber_tip")),
+]
+
+
+@pytest.mark.parametrize(("name", "models"), ARM_MODELS)
 def test_all_arm_models_of_an_instrument_are_accepted(presets, name, models):
     instrument = presets[name]
     assert instrument.arm_models == models

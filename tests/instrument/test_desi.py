@@ -229,24 +229,24 @@ def without(name):
     return lambda table: table.remove_column(name)
 
 
+DAMAGED_METROLOGY = [
+    (without("X_FP"), "must have the column"),
+    (without("LOCATION"), "must have the column 'LOCATION'"),
+    (text("Y_FP"), r"column 'Y_FP' must hold one number for each row, got 'broken'"),
+    (set_("X_FP", 5, np.nan), r"column 'X_FP' must hold a finite number for each row, but 1 of 200 rows"),
+    (set_("Y_FP", 5, -99.0), "'Y_FP' must hold numbers .* no codes such as 99 or -999, got -99 in row 6"),
+    (set_("X_FP", 5, 9999.0), "'X_FP' must hold numbers from -420 to 420 mm, .*, got 9999 in row 6"),
+    (at_center, r"X_FP, Y_FP must be at least 10 mm from the center, but are not for 1 positioner \(5\)"),
+    (at_neighbor, r"must be at least 5 mm from each other, but are not for 2 positioners \(5, 6\)"),
+    (set_("LOCATION", 5, 7000), "PETAL_LOC [+] DEVICE_LOC, got 7000 for PETAL_LOC 0 and DEVICE_LOC 5"),
+    (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
+    (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
+    (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got 'FIF'"),
+]
+
+
 @pytest.mark.few(3)
-@pytest.mark.parametrize(
-    ("edit", "sentence"),
-    [
-        (without("X_FP"), "must have the column"),
-        (without("LOCATION"), "must have the column 'LOCATION'"),
-        (text("Y_FP"), r"column 'Y_FP' must hold one number for each row, got 'broken'"),
-        (set_("X_FP", 5, np.nan), r"column 'X_FP' must hold a finite number for each row, but 1 of 200 rows"),
-        (set_("Y_FP", 5, -99.0), "'Y_FP' must hold numbers .* no codes such as 99 or -999, got -99 in row 6"),
-        (set_("X_FP", 5, 9999.0), "'X_FP' must hold numbers from -420 to 420 mm, .*, got 9999 in row 6"),
-        (at_center, r"X_FP, Y_FP must be at least 10 mm from the center, but are not for 1 positioner \(5\)"),
-        (at_neighbor, r"must be at least 5 mm from each other, but are not for 2 positioners \(5, 6\)"),
-        (set_("LOCATION", 5, 7000), "PETAL_LOC [+] DEVICE_LOC, got 7000 for PETAL_LOC 0 and DEVICE_LOC 5"),
-        (lambda table: table.add_row(table[0]), "LOCATION must be unique, but 0 occurs more than once"),
-        (lambda table: table.remove_rows(slice(None)), "must have at least one row, got none"),
-        (lambda table: table["DEVICE_TYPE"].fill("FIF"), "DEVICE_TYPE must be POS for positioners, got 'FIF'"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "sentence"), DAMAGED_METROLOGY)
 @partial
 def test_a_damaged_metrology_is_refused(tmp_path, edit, sentence):
     path = tmp_path / "fp.csv"
@@ -256,23 +256,23 @@ def test_a_damaged_metrology_is_refused(tmp_path, edit, sentence):
     assert str(path) in str(caught.value)
 
 
+DAMAGED_FOCAL_PLANE = [
+    (without("OFFSET_P"), "must have the column 'OFFSET_P'"),
+    (text("LENGTH_R1"), r"column 'LENGTH_R1' must hold one number for each row, got 'broken'"),
+    (unit("OFFSET_X", "degrees"), "column 'OFFSET_X' must have a unit convertible to mm, got deg"),
+    (unit("OFFSET_T", "mm"), "column 'OFFSET_T' must have a unit convertible to deg, got mm"),
+    (set_("MIN_P", 2, 195.0), r"MIN_P must be less than MAX_P, but is not for 1 positioner \(2\)"),
+    (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for PETAL 0 and DEVICE 0"),
+    (set_("LENGTH_R2", 0, -3.0), "'LENGTH_R2' must hold numbers from 1 to 6 mm, got -3 in row 1"),
+    (set_("LENGTH_R1", 7, 999.0), "'LENGTH_R1' must hold numbers from 1 to 6 mm, got 999 in row 8"),
+    (set_("OFFSET_X", 7, -999.0), "'OFFSET_X' must hold .* no codes such as 99 or -999, got -999 in row 8"),
+    (set_("OFFSET_T", 7, -99.0), "'OFFSET_T' must hold .* no codes such as 99 or -999, got -99 in row 8"),
+    (set_("MIN_T", 7, -999.0), "'MIN_T' must hold numbers from -400 to 400 deg, got -999 in row 8"),
+]
+
+
 @pytest.mark.few(3)
-@pytest.mark.parametrize(
-    ("edit", "sentence"),
-    [
-        (without("OFFSET_P"), "must have the column 'OFFSET_P'"),
-        (text("LENGTH_R1"), r"column 'LENGTH_R1' must hold one number for each row, got 'broken'"),
-        (unit("OFFSET_X", "degrees"), "column 'OFFSET_X' must have a unit convertible to mm, got deg"),
-        (unit("OFFSET_T", "mm"), "column 'OFFSET_T' must have a unit convertible to deg, got mm"),
-        (set_("MIN_P", 2, 195.0), r"MIN_P must be less than MAX_P, but is not for 1 positioner \(2\)"),
-        (set_("LOCATION", 0, 4), "LOCATION must be 1000 PETAL [+] DEVICE, got 4 for PETAL 0 and DEVICE 0"),
-        (set_("LENGTH_R2", 0, -3.0), "'LENGTH_R2' must hold numbers from 1 to 6 mm, got -3 in row 1"),
-        (set_("LENGTH_R1", 7, 999.0), "'LENGTH_R1' must hold numbers from 1 to 6 mm, got 999 in row 8"),
-        (set_("OFFSET_X", 7, -999.0), "'OFFSET_X' must hold .* no codes such as 99 or -999, got -999 in row 8"),
-        (set_("OFFSET_T", 7, -99.0), "'OFFSET_T' must hold .* no codes such as 99 or -999, got -99 in row 8"),
-        (set_("MIN_T", 7, -999.0), "'MIN_T' must hold numbers from -400 to 400 deg, got -999 in row 8"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "sentence"), DAMAGED_FOCAL_PLANE)
 @partial
 def test_a_damaged_focal_plane_is_refused(tmp_path, edit, sentence):
     path = tmp_path / "desi-focalplane.ecsv"
@@ -294,17 +294,17 @@ def test_lengths_in_another_unit_are_converted(tmp_path):
     assert_allclose(one.arrays.central_arm, other.arrays.central_arm)
 
 
+DAMAGED_STATE = [
+    (without("STATE"), "must have the column 'STATE'"),
+    (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or text such as .*, got 'yesterday'"),
+    (text("STATE"), "column 'STATE' must hold one whole number for each row, got 'broken'"),
+    (set_("POS_T", 1, np.nan), "column 'POS_T' must hold a finite number for each row"),
+    (set_("MAX_P", 3, 999.0), "'MAX_P' must hold numbers from -400 to 400 deg, got 999 in row 4"),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("edit", "sentence"),
-    [
-        (without("STATE"), "must have the column 'STATE'"),
-        (set_("TIME", 0, "yesterday"), "column 'TIME' must be a Time or text such as .*, got 'yesterday'"),
-        (text("STATE"), "column 'STATE' must hold one whole number for each row, got 'broken'"),
-        (set_("POS_T", 1, np.nan), "column 'POS_T' must hold a finite number for each row"),
-        (set_("MAX_P", 3, 999.0), "'MAX_P' must hold numbers from -400 to 400 deg, got 999 in row 4"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "sentence"), DAMAGED_STATE)
 @partial
 def test_a_damaged_state_is_refused(folder, edit, sentence):
     plane = next(folder.glob("desi-focalplane*"))

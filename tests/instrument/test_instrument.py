@@ -34,16 +34,16 @@ def test_every_figure_has_a_status_and_a_source(presets, name):
     assert all(len(source) > 8 for source in table["source"])
 
 
-@pytest.mark.parametrize(
-    ("name", "angle", "radius", "tolerance"),
-    [
-        ("sdss_apo", 1.0, 220.519, 1e-3),
-        ("sdss_lco", 1.0, 331.490, 1e-3),
-        ("pfs", 0.69, 226.600, 1e-3),
-        ("desi", 1.6, 405.892, 5e-3),  # the fit to the Echo22 table has errors of at most 0.0039 mm
-        ("lamost", 2.0, 20000 * np.tan(np.deg2rad(2.0)), 1e-9),
-    ],
-)
+PLATE_SCALES = [
+    ("sdss_apo", 1.0, 220.519, 1e-3),
+    ("sdss_lco", 1.0, 331.490, 1e-3),
+    ("pfs", 0.69, 226.600, 1e-3),
+    ("desi", 1.6, 405.892, 5e-3),  # the fit to the Echo22 table has errors of at most 0.0039 mm
+    ("lamost", 2.0, 20000 * np.tan(np.deg2rad(2.0)), 1e-9),
+]
+
+
+@pytest.mark.parametrize(("name", "angle", "radius", "tolerance"), PLATE_SCALES)
 def test_plate_scales(presets, name, angle, radius, tolerance):
     center = SkyCoord(95, 23, unit="deg")
     plane = presets[name].projection(center)
@@ -57,17 +57,17 @@ def test_plate_scales_before_the_scale_to_the_wok(presets):
         assert radial.to_radius(1 * u.deg).value / radial.factor == pytest.approx(radius, abs=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("name", "inner", "outer", "separation", "pitch"),
-    [
-        ("lamost", 0, 16.5, 4.5, 25.6),
-        ("sdss_apo", 7.5697, 22.3697, 4.0782, 22.4),
-        ("sdss_lco", 7.5697, 22.3697, 4.0782, 22.4),
-        ("moons", 9, 25, 4.0, 25.058),
-        ("desi", 0, 6, 0, 10.4),
-        ("pfs", 0, 4.75, 2.0, 8.0),
-    ],
-)
+GEOMETRY = [
+    ("lamost", 0, 16.5, 4.5, 25.6),
+    ("sdss_apo", 7.5697, 22.3697, 4.0782, 22.4),
+    ("sdss_lco", 7.5697, 22.3697, 4.0782, 22.4),
+    ("moons", 9, 25, 4.0, 25.058),
+    ("desi", 0, 6, 0, 10.4),
+    ("pfs", 0, 4.75, 2.0, 8.0),
+]
+
+
+@pytest.mark.parametrize(("name", "inner", "outer", "separation", "pitch"), GEOMETRY)
 def test_geometry(presets, name, inner, outer, separation, pitch):
     plane = presets[name].focal_plane
     unit = plane.positioner
@@ -175,25 +175,25 @@ def test_other_packages_add_instruments(tmp_path, monkeypatch):
     sys.modules.pop("their_package", None)
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ("[[", "cannot be read as TOML"),
-        ('name = "x"', "must have the section .positioner."),
-        (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
-        (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
-        (
-            DESCRIPTION.replace("value = 0.3", "value = -1"),
-            "positioner.central_arm must be a length above 0, got -1 cm",
-        ),
-        (
-            DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'),
-            "the unit of optics.plate_scale must be convertible to mm / rad, got 'um'",
-        ),
-        (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
-        (DESCRIPTION.replace("pitch = ", "pich = "), "unknown entry of .layout. 'pich'.* Did you mean 'pitch'"),
-    ],
-)
+BAD_DESCRIPTIONS = [
+    ("[[", "cannot be read as TOML"),
+    ('name = "x"', "must have the section .positioner."),
+    (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
+    (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
+    (
+        DESCRIPTION.replace("value = 0.3", "value = -1"),
+        "positioner.central_arm must be a length above 0, got -1 cm",
+    ),
+    (
+        DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'),
+        "the unit of optics.plate_scale must be convertible to mm / rad, got 'um'",
+    ),
+    (DESCRIPTION.replace('unit = "cm"', 'unit = "centimetre"'), "centimetre"),
+    (DESCRIPTION.replace("pitch = ", "pich = "), "unknown entry of .layout. 'pich'.* Did you mean 'pitch'"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_DESCRIPTIONS)
 def test_bad_descriptions_are_named(tmp_path, content, message):
     path = tmp_path / "bad.toml"
     path.write_text(textwrap.dedent(content))

@@ -120,20 +120,20 @@ def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
     assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
 
 
+IMPOSSIBLE_VALUES = [
+    ("alphaArmLen", -999.0, True),
+    ("alphaArmLen", 74.0, True),
+    ("alphaOffset", 99.0, True),
+    ("betaOffset", -9999.0, True),
+    ("dx", 5000.0, True),
+    ("bossX", -999.0, False),
+    ("bossY", 99.9, False),
+    ("bossX", 0.0, False),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("column", "value", "is_disabled"),
-    [
-        ("alphaArmLen", -999.0, True),
-        ("alphaArmLen", 74.0, True),
-        ("alphaOffset", 99.0, True),
-        ("betaOffset", -9999.0, True),
-        ("dx", 5000.0, True),
-        ("bossX", -999.0, False),
-        ("bossY", 99.9, False),
-        ("bossX", 0.0, False),
-    ],
-)
+@pytest.mark.parametrize(("column", "value", "is_disabled"), IMPOSSIBLE_VALUES)
 def test_impossible_values_of_robots_count_as_missing(tmp_path, column, value, is_disabled):
     """With the code -999 for the position of a fiber, a robot had a reach of 1420 mm."""
     folder = sdssv_files.calibration(tmp_path / "codes", positionerTable=changed("R0C13", **{column: value}))

@@ -42,19 +42,19 @@ def file(tmp_path):
     return path
 
 
+TIMES = [
+    ("2025-12-31T23:59:59", [3], {}),
+    ("2026-01-01", [3], {5: (30, 100)}),  # the interval contains its beginning
+    ("2026-01-31", [3, 8], {5: (30, 100)}),
+    ("2026-03-01T11:59:59", [3, 8], {5: (30, 100)}),
+    ("2026-03-01T12:00:00", [3, 8], {}),  # and not its end
+    (Time(2461101.0, format="jd", scale="tai"), [3, 8], {5: (30, 100)}),
+    (2026.5, [3, 8], {}),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("time", "disabled", "poses"),
-    [
-        ("2025-12-31T23:59:59", [3], {}),
-        ("2026-01-01", [3], {5: (30, 100)}),  # the interval contains its beginning
-        ("2026-01-31", [3, 8], {5: (30, 100)}),
-        ("2026-03-01T11:59:59", [3, 8], {5: (30, 100)}),
-        ("2026-03-01T12:00:00", [3, 8], {}),  # and not its end
-        (Time(2461101.0, format="jd", scale="tai"), [3, 8], {5: (30, 100)}),
-        (2026.5, [3, 8], {}),
-    ],
-)
+@pytest.mark.parametrize(("time", "disabled", "poses"), TIMES)
 def test_the_time_selects_the_states(small, file, time, disabled, poses):
     worn = small.with_states(file, time=time)
     assert states_of(worn) == (disabled, poses)
@@ -88,16 +88,16 @@ def test_all_formats_contain_the_same_states(small, file, tmp_path, ending):
     assert states_of(small.with_states(path)) == ([3], {5: (30, 100)})
 
 
-@pytest.mark.parametrize(
-    "dates",
-    [
-        Column([datetime(2026, 1, 1, tzinfo=UTC), None], dtype=object),
-        MaskedColumn([2461041.5, 0], mask=[False, True]),
-        MaskedColumn(["2026-01-01", "x"], mask=[False, True]),
-        Time(["2026-01-01", "2001-01-01"]),
-        np.array(["2026-01-01", "NaT"], dtype="datetime64[s]"),
-    ],
-)
+DATES = [
+    Column([datetime(2026, 1, 1, tzinfo=UTC), None], dtype=object),
+    MaskedColumn([2461041.5, 0], mask=[False, True]),
+    MaskedColumn(["2026-01-01", "x"], mask=[False, True]),
+    Time(["2026-01-01", "2001-01-01"]),
+    np.array(["2026-01-01", "NaT"], dtype="datetime64[s]"),
+]
+
+
+@pytest.mark.parametrize("dates", DATES)
 def test_dates_have_many_forms(small, dates):
     table = QTable({"id": [1, 2], "from": dates})
     assert states_of(small.with_states(table, time="2025-12-31"))[0] in ([], [2])
@@ -167,27 +167,27 @@ def test_a_second_table_replaces_states(small, file):
     assert second.notes.endswith("States of positioners from a table: 1 broken, 0 stuck, 2 restored.")
 
 
-@pytest.mark.parametrize(
-    ("columns", "text"),
-    [
-        ({"name": [1]}, "states: the table must have the column 'id', got name"),
-        ({"id": [1, 99, -1]}, "states: id must be identifiers of positioners of small, such as 0, 1, 2, got '99', '-1"),
-        ({"id": np.arange(100, 113)}, "'109' and 3 more$"),
-        ({"id": [[1, 2]]}, "column 'id' must have one value per row"),
-        ({"id": [1], "state": ["gone"]}, "unknown state in states 'gone'; choose one of: broken, ok, restored, stuck"),
-        ({"id": [1], "state": [2]}, "unknown state in states '2'"),
-        ({"id": [1], "state": ["stuck"]}, "must have both values for a positioner that is stuck, got none"),
-        ({"id": [1], "theta": [5.0]}, "must have both values or none for a positioner that is broken, got 5"),
-        ({"id": [1], "state": ["ok"], "theta": [5], "phi": [5]}, "must have no values for a positioner that is ok"),
-        ({"id": [1], "theta": [5], "phi": [500]}, "column 'phi' must hold angles from -400 to 400 deg, got 500"),
-        ({"id": [1], "theta": ["east"], "phi": ["x"]}, "column 'theta' must hold angles in degrees"),
-        ({"id": [1], "theta": [5] * u.mm, "phi": [5] * u.deg}, "'theta' must have a unit convertible to deg, got mm"),
-        ({"id": [1], "from": ["yesterday"]}, "'from' must hold Julian dates, or .* '2021-05-14T00:00:00', got 'yes"),
-        ({"id": [1], "to": [2026]}, "column 'to' must hold Julian dates, or .*, got 2026"),
-        ({"id": [1], "to": ["2026"]}, "column 'to' must hold Julian dates, or .*, got 2026"),
-        ({"id": [1], "from": ["2026-05-01"], "to": ["2026-05-01"]}, "to must be later than from, got 2026-05-01T"),
-    ],
-)
+WRONG_TABLES = [
+    ({"name": [1]}, "states: the table must have the column 'id', got name"),
+    ({"id": [1, 99, -1]}, "states: id must be identifiers of positioners of small, such as 0, 1, 2, got '99', '-1"),
+    ({"id": np.arange(100, 113)}, "'109' and 3 more$"),
+    ({"id": [[1, 2]]}, "column 'id' must have one value per row"),
+    ({"id": [1], "state": ["gone"]}, "unknown state in states 'gone'; choose one of: broken, ok, restored, stuck"),
+    ({"id": [1], "state": [2]}, "unknown state in states '2'"),
+    ({"id": [1], "state": ["stuck"]}, "must have both values for a positioner that is stuck, got none"),
+    ({"id": [1], "theta": [5.0]}, "must have both values or none for a positioner that is broken, got 5"),
+    ({"id": [1], "state": ["ok"], "theta": [5], "phi": [5]}, "must have no values for a positioner that is ok"),
+    ({"id": [1], "theta": [5], "phi": [500]}, "column 'phi' must hold angles from -400 to 400 deg, got 500"),
+    ({"id": [1], "theta": ["east"], "phi": ["x"]}, "column 'theta' must hold angles in degrees"),
+    ({"id": [1], "theta": [5] * u.mm, "phi": [5] * u.deg}, "'theta' must have a unit convertible to deg, got mm"),
+    ({"id": [1], "from": ["yesterday"]}, "'from' must hold Julian dates, or .* '2021-05-14T00:00:00', got 'yes"),
+    ({"id": [1], "to": [2026]}, "column 'to' must hold Julian dates, or .*, got 2026"),
+    ({"id": [1], "to": ["2026"]}, "column 'to' must hold Julian dates, or .*, got 2026"),
+    ({"id": [1], "from": ["2026-05-01"], "to": ["2026-05-01"]}, "to must be later than from, got 2026-05-01T"),
+]
+
+
+@pytest.mark.parametrize(("columns", "text"), WRONG_TABLES)
 def test_wrong_tables_are_refused(small, columns, text):
     refused(text, lambda: small.with_states(QTable(columns), time="2026-01-01"))
 
@@ -236,14 +236,14 @@ states = {}
 """
 
 
-@pytest.mark.parametrize(
-    "states",
-    [
-        '{ value = "broken.csv" }',
-        "{ value = [{ id = 3 }, { id = 5, state = 'stuck', from = 2026-01-01, to = '2026-03-01T12:00:00', theta = 30, "
-        "phi = 100.0 }, { id = '8', from = 2026-01-31T00:00:00Z }] }",
-    ],
-)
+TOML_STATES = [
+    '{ value = "broken.csv" }',
+    "{ value = [{ id = 3 }, { id = 5, state = 'stuck', from = 2026-01-01, to = '2026-03-01T12:00:00', theta = 30, "
+    "phi = 100.0 }, { id = '8', from = 2026-01-31T00:00:00Z }] }",
+]
+
+
+@pytest.mark.parametrize("states", TOML_STATES)
 def test_a_toml_file_contains_states(file, states):
     path = file.with_name("worn.toml")
     path.write_text(DESCRIPTION.format(states))
@@ -257,18 +257,18 @@ def test_a_toml_file_contains_states(file, states):
         rs.place_tiles(rs.Region.parse("cap 95 23 2"), str(path))
 
 
-@pytest.mark.parametrize(
-    ("states", "text"),
-    [
-        ("{ value = 3 }", "layout.states must be the name of a file, or a list of tables with the key id, got 3"),
-        ("{ value = [] }", "layout.states must be the name of a file, or a list of tables with the key id"),
-        ("{ value = [{ name = 3 }] }", "layout.states must be the name of a file, or a list of tables with the key id"),
-        ("{ value = [{ id = 3, since = 1 }] }", "unknown key of layout.states 'since'"),
-        ("{ value = [{ id = -3 }] }", "layout.states: id must be identifiers of positioners of worn, .* got '-3'"),
-        ("{ value = 'absent.csv' }", r"absent\.csv: there is no such file"),
-        ("{ value = [{ id = 1, from = 12:00:00 }] }", "layout.states: column 'from' must hold Julian dates"),
-    ],
-)
+WRONG_TOML_STATES = [
+    ("{ value = 3 }", "layout.states must be the name of a file, or a list of tables with the key id, got 3"),
+    ("{ value = [] }", "layout.states must be the name of a file, or a list of tables with the key id"),
+    ("{ value = [{ name = 3 }] }", "layout.states must be the name of a file, or a list of tables with the key id"),
+    ("{ value = [{ id = 3, since = 1 }] }", "unknown key of layout.states 'since'"),
+    ("{ value = [{ id = -3 }] }", "layout.states: id must be identifiers of positioners of worn, .* got '-3'"),
+    ("{ value = 'absent.csv' }", r"absent\.csv: there is no such file"),
+    ("{ value = [{ id = 1, from = 12:00:00 }] }", "layout.states: column 'from' must hold Julian dates"),
+]
+
+
+@pytest.mark.parametrize(("states", "text"), WRONG_TOML_STATES)
 def test_wrong_states_in_a_toml_file_are_refused(tmp_path, states, text):
     path = tmp_path / "worn.toml"
     path.write_text(DESCRIPTION.format(states))

@@ -247,15 +247,15 @@ def test_circles_that_no_arm_may_cover_are_seen_under_the_conditions(presets, ca
     assert r > 2.2
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"projection": "full"}, "the projection 'full' must have conditions, got none"),
-        ({"projection": "best"}, "unknown projection 'best'"),
-        ({"conditions": "apache point"}, "conditions must be ObservingConditions"),
-        ({"conditions": conditions_at(11)}, "must be above the horizon"),
-    ],
-)
+WRONG_PROJECTIONS = [
+    ({"projection": "full"}, "the projection 'full' must have conditions, got none"),
+    ({"projection": "best"}, "unknown projection 'best'"),
+    ({"conditions": "apache point"}, "conditions must be ObservingConditions"),
+    ({"conditions": conditions_at(11)}, "must be above the horizon"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), WRONG_PROJECTIONS)
 def test_projections_that_are_not_valid_are_errors(presets, catalog, given, text):
     refused(text, lambda: rs.plan_tile(catalog, presets["sdss_apo"], CENTER, **given))
 
@@ -345,31 +345,31 @@ def test_the_command_plans_under_conditions(run, tmp_path):
     assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
 
 
+REFUSED_CONDITIONS = [
+    (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
+    (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
+    (
+        ["--set", "conditions.site=paranal", "--set", "conditions.time=now"],
+        "conditions.time must be a date and time (UTC) such as",
+    ),
+    (
+        [
+            "--set",
+            "conditions.site=paranal",
+            "--set",
+            "conditions.hour_angle=1",
+            "--set",
+            "conditions.wavelength=BOSS",
+        ],
+        "conditions.wavelength must be a number (um) or text with a unit",
+    ),
+    (["--set", "conditions.site=1,2", "--set", "conditions.hour_angle=1"], "site must be longitude"),
+    (["--set", "projection=full"], "must have conditions"),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
-        (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
-        (
-            ["--set", "conditions.site=paranal", "--set", "conditions.time=now"],
-            "conditions.time must be a date and time (UTC) such as",
-        ),
-        (
-            [
-                "--set",
-                "conditions.site=paranal",
-                "--set",
-                "conditions.hour_angle=1",
-                "--set",
-                "conditions.wavelength=BOSS",
-            ],
-            "conditions.wavelength must be a number (um) or text with a unit",
-        ),
-        (["--set", "conditions.site=1,2", "--set", "conditions.hour_angle=1"], "site must be longitude"),
-        (["--set", "projection=full"], "must have conditions"),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), REFUSED_CONDITIONS)
 def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):
     code, _, err = run("plan", "example:anticenter", "--epoch", "2026", *options)
     assert code == 2

@@ -323,43 +323,43 @@ def test_the_field_of_a_sdssv_configuration_of_2021_was_below_the_horizon(real_d
         )
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"site": "nowhere", "time": TIME}, "unknown site 'nowhere'"),
-        ({"site": 5, "time": TIME}, "site must be one EarthLocation"),
-        ({"site": "paranal"}, "either a time or an hour_angle, got none"),
-        ({"site": "paranal", "time": TIME, "hour_angle": EAST}, "got both"),
-        ({"site": "paranal", "time": "May"}, "time must be a date and time"),
-        ({"site": "paranal", "time": Time("2024-05-10", scale="ut1")}, "time must be in a scale such as UTC"),
-        ({"site": "paranal", "hour_angle": 3 * u.m}, "hour_angle must have a unit"),
-        ({"site": "paranal", "time": TIME, "wavelength": 540 * u.m}, "wavelength must be one finite value"),
-        ({"site": "paranal", "time": TIME, "wavelength": {}}, "wavelength must have one value"),
-        ({"site": "paranal", "time": TIME, "wavelength": {"BOSS": 5}}, "wavelength of BOSS must be a Quantity"),
-        ({"site": "paranal", "time": TIME, "guide_wavelength": 0 * u.um}, "guide_wavelength must be"),
-        ({"site": "paranal", "time": TIME, "pressure": -1 * u.hPa}, "pressure must be"),
-        ({"site": "paranal", "time": TIME, "temperature": 5}, "temperature must have a unit of temperature"),
-        ({"site": "paranal", "time": TIME, "humidity": 30}, "humidity must be"),
-        ({"site": "paranal", "time": TIME, "humidity": "dry"}, "humidity must be"),
-        ({"site": "paranal", "time": TIME, "exposure_time": 2 * u.day}, "exposure_time must be"),
-    ],
-)
+WRONG_CONDITIONS = [
+    ({"site": "nowhere", "time": TIME}, "unknown site 'nowhere'"),
+    ({"site": 5, "time": TIME}, "site must be one EarthLocation"),
+    ({"site": "paranal"}, "either a time or an hour_angle, got none"),
+    ({"site": "paranal", "time": TIME, "hour_angle": EAST}, "got both"),
+    ({"site": "paranal", "time": "May"}, "time must be a date and time"),
+    ({"site": "paranal", "time": Time("2024-05-10", scale="ut1")}, "time must be in a scale such as UTC"),
+    ({"site": "paranal", "hour_angle": 3 * u.m}, "hour_angle must have a unit"),
+    ({"site": "paranal", "time": TIME, "wavelength": 540 * u.m}, "wavelength must be one finite value"),
+    ({"site": "paranal", "time": TIME, "wavelength": {}}, "wavelength must have one value"),
+    ({"site": "paranal", "time": TIME, "wavelength": {"BOSS": 5}}, "wavelength of BOSS must be a Quantity"),
+    ({"site": "paranal", "time": TIME, "guide_wavelength": 0 * u.um}, "guide_wavelength must be"),
+    ({"site": "paranal", "time": TIME, "pressure": -1 * u.hPa}, "pressure must be"),
+    ({"site": "paranal", "time": TIME, "temperature": 5}, "temperature must have a unit of temperature"),
+    ({"site": "paranal", "time": TIME, "humidity": 30}, "humidity must be"),
+    ({"site": "paranal", "time": TIME, "humidity": "dry"}, "humidity must be"),
+    ({"site": "paranal", "time": TIME, "exposure_time": 2 * u.day}, "exposure_time must be"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), WRONG_CONDITIONS)
 def test_conditions_that_are_not_valid_are_errors(given, text):
     refused(text, lambda: rs.ObservingConditions(**given))
 
 
-@pytest.mark.parametrize(
-    ("conditions", "text"),
-    [
-        ({"hour_angle": 11 * u.hourangle}, "altitude -35.* deg of its center at hour angle 11 h"),
-        ({"time": Time("2024-05-10T19:00:00")}, "altitude -.* deg of its center at 2024-05-10 19:00:00.000 UTC"),
-        (
-            {"hour_angle": 6.95 * u.hourangle},
-            r"the whole field with its radius of 2\.\d+ deg must be above the horizon",
-        ),
-        ({"hour_angle": 6.5 * u.hourangle, "exposure_time": 3 * u.hour}, "during the exposure"),
-    ],
-)
+FIELDS_BELOW_HORIZON = [
+    ({"hour_angle": 11 * u.hourangle}, "altitude -35.* deg of its center at hour angle 11 h"),
+    ({"time": Time("2024-05-10T19:00:00")}, "altitude -.* deg of its center at 2024-05-10 19:00:00.000 UTC"),
+    (
+        {"hour_angle": 6.95 * u.hourangle},
+        r"the whole field with its radius of 2\.\d+ deg must be above the horizon",
+    ),
+    ({"hour_angle": 6.5 * u.hourangle, "exposure_time": 3 * u.hour}, "during the exposure"),
+]
+
+
+@pytest.mark.parametrize(("conditions", "text"), FIELDS_BELOW_HORIZON)
 def test_fields_below_the_horizon_are_errors(presets, conditions, text):
     with pytest.raises(rs.InputError, match=text):
         presets["lamost"].projection(

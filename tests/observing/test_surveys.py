@@ -66,19 +66,19 @@ def test_times_are_times_or_text(sky, presets):
     assert not same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with()))
 
 
+KEPT_CONDITIONS = [
+    ("hour_angle", HOURS * u.hourangle),
+    ("hour_angle", HOURS * u.hour),
+    ("hour_angle", HOURS),
+    ("time", TEXTS),
+    ("time", Time(TEXTS)),
+    ("time", Time(TEXTS).tai),
+    ("time", np.array(TEXTS, dtype="datetime64[s]")),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("name", "column"),
-    [
-        ("hour_angle", HOURS * u.hourangle),
-        ("hour_angle", HOURS * u.hour),
-        ("hour_angle", HOURS),
-        ("time", TEXTS),
-        ("time", Time(TEXTS)),
-        ("time", Time(TEXTS).tai),
-        ("time", np.array(TEXTS, dtype="datetime64[s]")),
-    ],
-)
+@pytest.mark.parametrize(("name", "column"), KEPT_CONDITIONS)
 def test_files_keep_the_conditions_of_each_tile(name, column, tmp_path):
     tiling = tiling_with(**{name: column})
     expected = [
@@ -139,19 +139,19 @@ def test_tiles_below_the_horizon_are_named(sky, presets):
         rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=[0, 9, 0]))
 
 
-@pytest.mark.parametrize(
-    ("columns", "text"),
-    [
-        ({"hour_angle": [1, np.nan, 2]}, "hour_angle must be a finite angle .* got nan deg for tile 1"),
-        ({"hour_angle": [1, 2, 24.5]}, "hour_angle must be .* below 360 deg .* got 367.5 deg for tile 2"),
-        ({"hour_angle": MaskedColumn([1.0, 2, 3], mask=[1, 0, 0])}, "got nan deg for tile 0"),
-        ({"hour_angle": [1, 2, 3] * u.mm}, "hour_angle must be an angle"),
-        ({"time": [*TEXTS[:2], "then"]}, "time of tile 2 must be a date and time .* got 'then'"),
-        ({"time": MaskedColumn(TEXTS, mask=[0, 1, 0])}, "time of tile 1 must be a date and time .* got ''"),
-        ({"time": [2460427.0] * 3}, "time of tile 0 must be a date and time .* got 2460427.0"),
-        ({"time": Time(["2025-12-10"] * 3), "hour_angle": [1, 2, 3]}, "at most one of the columns .* got both"),
-    ],
-)
+WRONG_COLUMNS = [
+    ({"hour_angle": [1, np.nan, 2]}, "hour_angle must be a finite angle .* got nan deg for tile 1"),
+    ({"hour_angle": [1, 2, 24.5]}, "hour_angle must be .* below 360 deg .* got 367.5 deg for tile 2"),
+    ({"hour_angle": MaskedColumn([1.0, 2, 3], mask=[1, 0, 0])}, "got nan deg for tile 0"),
+    ({"hour_angle": [1, 2, 3] * u.mm}, "hour_angle must be an angle"),
+    ({"time": [*TEXTS[:2], "then"]}, "time of tile 2 must be a date and time .* got 'then'"),
+    ({"time": MaskedColumn(TEXTS, mask=[0, 1, 0])}, "time of tile 1 must be a date and time .* got ''"),
+    ({"time": [2460427.0] * 3}, "time of tile 0 must be a date and time .* got 2460427.0"),
+    ({"time": Time(["2025-12-10"] * 3), "hour_angle": [1, 2, 3]}, "at most one of the columns .* got both"),
+]
+
+
+@pytest.mark.parametrize(("columns", "text"), WRONG_COLUMNS)
 def test_columns_that_are_not_valid_are_errors(columns, text):
     refused(text, lambda: tiling_with(**columns))
 
@@ -201,18 +201,18 @@ def test_the_command_neglects_refraction_without_conditions(command):
     assert "hour_angle" not in survey.tiles.colnames
 
 
+REFUSED_CONDITIONS = [
+    (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
+    (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
+    (
+        ["--set", "conditions.site=paranal", "--set", "conditions.hour_angle=9"],
+        "tile 0: .* must be above the horizon",
+    ),
+]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
-        (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
-        (
-            ["--set", "conditions.site=paranal", "--set", "conditions.hour_angle=9"],
-            "tile 0: .* must be above the horizon",
-        ),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), REFUSED_CONDITIONS)
 def test_the_command_refuses_conditions_that_are_not_valid(run, tmp_path, options, text):
     tiles = tmp_path / "tiles.ecsv"
     rs.Tiling.from_table(QTable({"ra": CENTERS.ra, "dec": CENTERS.dec})).write(tiles)

@@ -275,16 +275,16 @@ def as_text(name):
     return edit
 
 
-@pytest.mark.parametrize(
-    ("edit", "sentence"),
-    [
-        (without("FIBERASSIGN_X"), "FIBERASSIGN must have the column 'FIBERASSIGN_X'"),
-        (without("FIBERSTATUS"), "FIBERASSIGN must have the column 'FIBERSTATUS'"),
-        (as_text("FIBERASSIGN_Y"), "column 'FIBERASSIGN_Y' must hold numbers, got str"),
-        (as_text("TARGETID"), "column 'TARGETID' must hold whole numbers, got str"),
-        (lambda table: table["LOCATION"].__setitem__(1, 0), "LOCATION must be unique, but 0 occurs more than once"),
-    ],
-)
+DAMAGED_FILES = [
+    (without("FIBERASSIGN_X"), "FIBERASSIGN must have the column 'FIBERASSIGN_X'"),
+    (without("FIBERSTATUS"), "FIBERASSIGN must have the column 'FIBERSTATUS'"),
+    (as_text("FIBERASSIGN_Y"), "column 'FIBERASSIGN_Y' must hold numbers, got str"),
+    (as_text("TARGETID"), "column 'TARGETID' must hold whole numbers, got str"),
+    (lambda table: table["LOCATION"].__setitem__(1, 0), "LOCATION must be unique, but 0 occurs more than once"),
+]
+
+
+@pytest.mark.parametrize(("edit", "sentence"), DAMAGED_FILES)
 def test_damaged_files_are_refused(tmp_path, edit, sentence):
     desi_files.tile(tmp_path / "bad.fits", per_petal=FEW, edit=edit)
     with pytest.raises(rs.errors.InputError, match=sentence) as caught:

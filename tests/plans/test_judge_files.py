@@ -113,14 +113,14 @@ def test_the_recorded_plan_of_a_field_of_sdssv_observes_492_of_its_494_targets(r
     assert found["wrong"] == {"out of reach": 1}
 
 
-@pytest.mark.parametrize(
-    ("name", "assigned", "observed"),
-    [
-        ("sdssv_apo_2021/confSummary-998.par.gz", 298, 297),
-        ("sdssv_apo_2021/confSummaryF-998.par.gz", 298, 298),
-        ("sdssv_apo_2024/confSummary-test.par.gz", 500, 494),
-    ],
-)
+CONFIGURATIONS_SDSSV = [
+    ("sdssv_apo_2021/confSummary-998.par.gz", 298, 297),
+    ("sdssv_apo_2021/confSummaryF-998.par.gz", 298, 298),
+    ("sdssv_apo_2024/confSummary-test.par.gz", 500, 494),
+]
+
+
+@pytest.mark.parametrize(("name", "assigned", "observed"), CONFIGURATIONS_SDSSV)
 def test_configurations_of_sdssv_are_judged(name, assigned, observed, real_data, presets):
     plan = plan_files.read_plan(real_data(name), None)
     found = judged(scene_with_targets(presets["sdss_apo"], plan), plan)

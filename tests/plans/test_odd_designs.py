@@ -96,19 +96,19 @@ def test_columns_with_rows_of_different_lengths_are_named(tmp_path, extension):
     same(plan, plans.read_plan(tmp_path / "e.fits"))
 
 
-@pytest.mark.parametrize(
-    ("extension", "column", "message"),
-    [
-        ("DESIGN", fits.Column("ra", "2D", array=np.ones((N, 2))), "'ra' of DESIGN must have one value per row"),
-        ("DESIGN", fits.Column("cobraId", "3A", array=np.full(N, "abc")), "'cobraId' of DESIGN must hold whole"),
-        ("DESIGN", fits.Column("pmRa", "3A", array=np.full(N, "abc")), "'pmRa' of DESIGN must hold numbers, got <U3"),
-        ("DESIGN", fits.Column("targetType", "2J", array=np.ones((N, 2))), "'targetType' of DESIGN must have one"),
-        ("PHOTOMETRY", fits.Column("fiberId", "2J", array=np.ones((120, 2))), "'fiberId' of PHOTOMETRY must have one"),
-        ("PHOTOMETRY", fits.Column("psfFlux", "L", array=np.ones(120)), "'psfFlux' of PHOTOMETRY must hold numbers"),
-        ("PHOTOMETRY", fits.Column("psfFlux", "E", unit="m", array=np.ones(120)), "convertible to nJy, got m"),
-        ("PHOTOMETRY", fits.Column("filterName", "J", array=np.ones(120)), "'filterName' of PHOTOMETRY must hold text"),
-    ],
-)
+WRONG_TYPES = [
+    ("DESIGN", fits.Column("ra", "2D", array=np.ones((N, 2))), "'ra' of DESIGN must have one value per row"),
+    ("DESIGN", fits.Column("cobraId", "3A", array=np.full(N, "abc")), "'cobraId' of DESIGN must hold whole"),
+    ("DESIGN", fits.Column("pmRa", "3A", array=np.full(N, "abc")), "'pmRa' of DESIGN must hold numbers, got <U3"),
+    ("DESIGN", fits.Column("targetType", "2J", array=np.ones((N, 2))), "'targetType' of DESIGN must have one"),
+    ("PHOTOMETRY", fits.Column("fiberId", "2J", array=np.ones((120, 2))), "'fiberId' of PHOTOMETRY must have one"),
+    ("PHOTOMETRY", fits.Column("psfFlux", "L", array=np.ones(120)), "'psfFlux' of PHOTOMETRY must hold numbers"),
+    ("PHOTOMETRY", fits.Column("psfFlux", "E", unit="m", array=np.ones(120)), "convertible to nJy, got m"),
+    ("PHOTOMETRY", fits.Column("filterName", "J", array=np.ones(120)), "'filterName' of PHOTOMETRY must hold text"),
+]
+
+
+@pytest.mark.parametrize(("extension", "column", "message"), WRONG_TYPES)
 def test_columns_of_a_wrong_type_are_refused(tmp_path, extension, column, message):
     path = with_columns(write_design(tmp_path / "d.fits"), extension, [column])
     refused(message, plans.read_plan, path)

@@ -38,20 +38,20 @@ def entry(name, value):
 OBJECTS = Column([{"a": k} for k in range(N)], dtype=object)
 
 
+DAMAGED_TILES = [
+    (without("id"), ": a tile must have the columns id, got spectrograph, "),
+    (without("tip_x"), ": a tile must have the columns tip_x, got id, "),
+    (column("tip_x", np.zeros(N)), ": column 'tip_x' must be a Quantity with a unit convertible to mm, got"),
+    (column("ra", np.zeros(N) * u.mm), ": column 'ra' must have a unit convertible to deg, got mm"),
+    (column("kind", np.zeros(N)), ": column 'kind' must hold text, got float64"),
+    (column("id", np.zeros((N, 2), dtype=int)), ": column 'id' must have one value per row, got the shape (40"),
+    (column("id", OBJECTS), ": column 'id' must hold numbers or text, got "),
+    (entry("provenance", {"parameters": 1}), ": the provenance of a tile must have parameters and the instrument"),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (without("id"), ": a tile must have the columns id, got spectrograph, "),
-        (without("tip_x"), ": a tile must have the columns tip_x, got id, "),
-        (column("tip_x", np.zeros(N)), ": column 'tip_x' must be a Quantity with a unit convertible to mm, got"),
-        (column("ra", np.zeros(N) * u.mm), ": column 'ra' must have a unit convertible to deg, got mm"),
-        (column("kind", np.zeros(N)), ": column 'kind' must hold text, got float64"),
-        (column("id", np.zeros((N, 2), dtype=int)), ": column 'id' must have one value per row, got the shape (40"),
-        (column("id", OBJECTS), ": column 'id' must hold numbers or text, got "),
-        (entry("provenance", {"parameters": 1}), ": the provenance of a tile must have parameters and the instrument"),
-    ],
-)
+@pytest.mark.parametrize(("edit", "message"), DAMAGED_TILES)
 def test_damaged_tiles_are_refused(tmp_path, run, tile, edit, message):
     """They ended with a traceback."""
     table = tile.table.copy()
@@ -62,19 +62,19 @@ def test_damaged_tiles_are_refused(tmp_path, run, tile, edit, message):
     assert message[2:] in sentence(code, err)
 
 
-@pytest.mark.parametrize(
-    ("edit", "message"),
-    [
-        (column("assigned", np.full(N, "some")), ": column 'assigned' must hold booleans or numbers, got text such as"),
-        (column("positioner", np.full(N, 1.5)), ": column 'positioner' must hold integers or text, got float64"),
-        (column("priority", np.full(N, "high")), ": column 'priority' must hold numbers, got <U4"),
-        (column("x", np.zeros(N) * u.s), ": column 'x' must have a unit convertible to mm, got s"),
-        (entry("format", None), ": format in the meta of a plan must be text, got None"),
-        (entry("instrument", {"name": "lamost"}), ": instrument in the meta of a plan must be text, got {"),
-        (entry("racen", "north"), ": racen in the meta of a plan must be a finite number, got 'north'"),
-        (entry("conditions", "clear"), ": conditions in the meta of a plan must be a dict, got 'clear'"),
-    ],
-)
+DAMAGED_PLANS = [
+    (column("assigned", np.full(N, "some")), ": column 'assigned' must hold booleans or numbers, got text such as"),
+    (column("positioner", np.full(N, 1.5)), ": column 'positioner' must hold integers or text, got float64"),
+    (column("priority", np.full(N, "high")), ": column 'priority' must hold numbers, got <U4"),
+    (column("x", np.zeros(N) * u.s), ": column 'x' must have a unit convertible to mm, got s"),
+    (entry("format", None), ": format in the meta of a plan must be text, got None"),
+    (entry("instrument", {"name": "lamost"}), ": instrument in the meta of a plan must be text, got {"),
+    (entry("racen", "north"), ": racen in the meta of a plan must be a finite number, got 'north'"),
+    (entry("conditions", "clear"), ": conditions in the meta of a plan must be a dict, got 'clear'"),
+]
+
+
+@pytest.mark.parametrize(("edit", "message"), DAMAGED_PLANS)
 def test_damaged_plans_are_refused(tmp_path, tile, edit, message):
     plan = plans.as_plan(tile)
     edit(plan)

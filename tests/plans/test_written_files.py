@@ -26,14 +26,14 @@ def pfsdesign(path):
     return pfs_files.write_design(path.with_suffix(".fits"))
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (fiberassign, "LOCATION must be unique, but 0 occurs more than once"),
-        (confsummary, "each fiber must have one row, got several for R-1C13 APOGEE"),
-        (pfsdesign, "fiberId must be unique, but 1955 occurs more than once"),
-    ],
-)
+REPEATED_FIBERS = [
+    (fiberassign, "LOCATION must be unique, but 0 occurs more than once"),
+    (confsummary, "each fiber must have one row, got several for R-1C13 APOGEE"),
+    (pfsdesign, "fiberId must be unique, but 1955 occurs more than once"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), REPEATED_FIBERS)
 def test_plans_with_repeated_fibers_are_not_written(tmp_path, make, message):
     """These plans were written to files that the readers refused."""
     plan = plans.read_plan(make(tmp_path / "plan"))

@@ -98,27 +98,27 @@ def test_safe_distance():
     assert rs.Positioner(8 * MM, 9 * MM, 2 * MM, displacement=0.5 * MM).min_separation == 4.5 * MM
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"central_arm": 7.4}, "central_arm must be a Quantity with a unit convertible to mm, got 7.4"),
-        ({"central_arm": 7.4 * u.deg}, "central_arm must have a unit convertible to mm, got deg"),
-        ({"eccentric_arm": 0 * MM}, "eccentric_arm must be one finite value above 0 mm and below 1e.06 mm, got 0"),
-        ({"clearance": -1 * MM}, r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got -1"),
-        (
-            {"clearance": np.nan * MM},
-            r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got nan",
-        ),
-        ({"step": 50 * u.deg}, "step must be one finite value of at least 0 rad and below 0.785398 rad"),
-        ({"handedness": "rigth"}, "unknown handedness 'rigth'.* Did you mean 'right'"),
-        ({"theta_range": [3, 1] * u.deg}, "theta_range must be .low, high."),
-        ({"home": 5 * u.deg}, "home must be two finite angles"),
-        ({"home": [0, 180] * u.deg, "phi_range": [0, 90] * u.deg}, "home must lie within the joint limits"),
-        ({"arm_model": "capsule"}, "arm_length must be given for the arm model 'capsule'"),
-        ({"arm_length": 5 * MM}, "arm_length must be given for the arm model 'capsule'"),
-        ({"arm_angle": 5 * u.deg}, "arm_angle must be given only for the arm model"),
-    ],
-)
+BAD_INPUT = [
+    ({"central_arm": 7.4}, "central_arm must be a Quantity with a unit convertible to mm, got 7.4"),
+    ({"central_arm": 7.4 * u.deg}, "central_arm must have a unit convertible to mm, got deg"),
+    ({"eccentric_arm": 0 * MM}, "eccentric_arm must be one finite value above 0 mm and below 1e.06 mm, got 0"),
+    ({"clearance": -1 * MM}, r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got -1"),
+    (
+        {"clearance": np.nan * MM},
+        r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got nan",
+    ),
+    ({"step": 50 * u.deg}, "step must be one finite value of at least 0 rad and below 0.785398 rad"),
+    ({"handedness": "rigth"}, "unknown handedness 'rigth'.* Did you mean 'right'"),
+    ({"theta_range": [3, 1] * u.deg}, "theta_range must be .low, high."),
+    ({"home": 5 * u.deg}, "home must be two finite angles"),
+    ({"home": [0, 180] * u.deg, "phi_range": [0, 90] * u.deg}, "home must lie within the joint limits"),
+    ({"arm_model": "capsule"}, "arm_length must be given for the arm model 'capsule'"),
+    ({"arm_length": 5 * MM}, "arm_length must be given for the arm model 'capsule'"),
+    ({"arm_angle": 5 * u.deg}, "arm_angle must be given only for the arm model"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     good = {"central_arm": 7.4 * MM, "eccentric_arm": 15 * MM, "clearance": 2 * MM}
     refused(message, lambda: rs.Positioner(**{**good, **arguments}))

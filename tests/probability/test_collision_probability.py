@@ -360,49 +360,49 @@ def test_the_bar_goes_to_the_standard_error(monkeypatch, capsys):
         assert shown.value == silent.value
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"method": "magic"}, "unknown method of collision probability 'magic'; choose one of: auto, "),
-        ({"estimand": "both"}, "unknown estimand 'both'"),
-        (
-            {"method": "quadrature", "estimand": "allocated"},
-            "'quadrature' estimates the probability for 'independent' targets, not",
-        ),
-        (
-            {"method": "conditional", "estimand": "independent"},
-            "'conditional' estimates the probability for 'allocated' targets, not",
-        ),
-        ({"method": "auto", "estimand": "both"}, "unknown estimand"),
-        ({"allocator": "greedy"}, "unknown allocator 'greedy'"),
-        ({"interval": "normal"}, "unknown interval 'normal'"),
-        ({"stop": "soon"}, "unknown stopping rule 'soon'"),
-        ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
-        ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
-        ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
-        ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations with queues"),
-        ({"precision": np.nan}, "standard_error must be a number above 0 and below 1, got nan"),
-        ({"precision": 0}, "standard_error must be"),
-        ({"precision": 1.0}, "standard_error must be"),
-        ({"precision": -0.1}, "standard_error must be"),
-        ({"precision": "0.1"}, "standard_error must be"),
-        ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
-        ({"max_iterations": 10.0}, "max_iterations must be a whole number"),
-        ({"max_iterations": np.nan}, "max_iterations must be a whole number"),
-        ({"most_entries": 0}, "most_entries must be a whole number of at least 1"),
-        ({"most_entries": 2.5}, "most_entries must be a whole number"),
-        ({"confidence": 0}, "confidence must be a number above 0 and below 1"),
-        ({"confidence": 1}, "confidence must be"),
-        ({"confidence": np.nan}, "confidence must be"),
-        ({"confidence": "95%"}, "confidence must be"),
-        ({"dynamic": -0.1}, "dynamic must be a number of at least 0 and below 1"),
-        ({"dynamic": np.nan}, "dynamic must be"),
-        ({"dynamic": 1}, "dynamic must be"),
-        ({"rng": "seed"}, "rng must be"),
-        ({"rng": -1}, "rng must be"),
-        ({"executor": 4}, "executor must be a concurrent.futures.Executor, got 4"),
-    ],
-)
+BAD_OPTIONS = [
+    ({"method": "magic"}, "unknown method of collision probability 'magic'; choose one of: auto, "),
+    ({"estimand": "both"}, "unknown estimand 'both'"),
+    (
+        {"method": "quadrature", "estimand": "allocated"},
+        "'quadrature' estimates the probability for 'independent' targets, not",
+    ),
+    (
+        {"method": "conditional", "estimand": "independent"},
+        "'conditional' estimates the probability for 'allocated' targets, not",
+    ),
+    ({"method": "auto", "estimand": "both"}, "unknown estimand"),
+    ({"allocator": "greedy"}, "unknown allocator 'greedy'"),
+    ({"interval": "normal"}, "unknown interval 'normal'"),
+    ({"stop": "soon"}, "unknown stopping rule 'soon'"),
+    ({"method": "closed_form", "variant": "ours"}, "unknown variant of the closed form 'ours'"),
+    ({"method": "quadrature", "density": "clustered"}, "density must be one of uniform, shared, voronoi"),
+    ({"method": "quadrature", "density": np.ones(3)}, "density must be one of uniform, shared, voronoi"),
+    ({"method": "quadrature", "density": [1, 2]}, "density must be Allocations with queues"),
+    ({"precision": np.nan}, "standard_error must be a number above 0 and below 1, got nan"),
+    ({"precision": 0}, "standard_error must be"),
+    ({"precision": 1.0}, "standard_error must be"),
+    ({"precision": -0.1}, "standard_error must be"),
+    ({"precision": "0.1"}, "standard_error must be"),
+    ({"max_iterations": 0}, "max_iterations must be a whole number of at least 1, got 0"),
+    ({"max_iterations": 10.0}, "max_iterations must be a whole number"),
+    ({"max_iterations": np.nan}, "max_iterations must be a whole number"),
+    ({"most_entries": 0}, "most_entries must be a whole number of at least 1"),
+    ({"most_entries": 2.5}, "most_entries must be a whole number"),
+    ({"confidence": 0}, "confidence must be a number above 0 and below 1"),
+    ({"confidence": 1}, "confidence must be"),
+    ({"confidence": np.nan}, "confidence must be"),
+    ({"confidence": "95%"}, "confidence must be"),
+    ({"dynamic": -0.1}, "dynamic must be a number of at least 0 and below 1"),
+    ({"dynamic": np.nan}, "dynamic must be"),
+    ({"dynamic": 1}, "dynamic must be"),
+    ({"rng": "seed"}, "rng must be"),
+    ({"rng": -1}, "rng must be"),
+    ({"executor": 4}, "executor must be a concurrent.futures.Executor, got 4"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BAD_OPTIONS)
 def test_bad_options_are_named(options, words):
     refused(words, lambda: flat.collision_probability(lamost_like(1), **options))
 

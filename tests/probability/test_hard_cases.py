@@ -161,14 +161,14 @@ def test_a_generator_that_cannot_spawn_is_refused():
     refused("rng must be able to spawn", lambda: rs.collision_probability(lamost_like(1), rng=legacy))
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"method": "quadrature", "density": []}, "density must be one of"),
-        ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
-        ({"most_entries": True}, "most_entries must be a whole number"),
-    ],
-)
+BAD_OPTIONS = [
+    ({"method": "quadrature", "density": []}, "density must be one of"),
+    ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
+    ({"most_entries": True}, "most_entries must be a whole number"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BAD_OPTIONS)
 def test_bad_options_are_named(options, words):
     refused(words, lambda: flat.collision_probability(lamost_like(1), **options))
 
@@ -176,32 +176,32 @@ def test_bad_options_are_named(options, words):
 USERS = "only monte_carlo and conditional use it"
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"method": "quadrature", "interval": "bootstrap"}, f"interval has no effect with .* 'quadrature'; {USERS}"),
-        ({"method": "quadrature", "stop": "convergence"}, f"stop has no effect with the method 'quadrature'; {USERS}"),
-        ({"method": "quadrature", "targets": "poisson"}, f"targets has no effect with .* 'quadrature'; {USERS}"),
-        (
-            {"method": "quadrature", "allocator": "lamost_rule"},
-            f"allocator has no effect with .* 'quadrature'; {USERS}",
-        ),
-        ({"method": "closed_form", "density": "uniform"}, "density has no effect with .*; only quadrature uses it"),
-        (
-            {"method": "closed_form", "precision": 0.1},
-            "precision has no effect with the method 'closed_form'; only qua",
-        ),
-        ({"method": "close_pair", "rng": 3}, "rng has no effect with the method 'close_pair'; only quadrature, mon"),
-        ({"method": "monte_carlo", "most_entries": 3}, "most_entries has no effect .*; only conditional uses it"),
-        ({"method": "monte_carlo", "density": "uniform"}, "density has no effect with the method 'monte_carlo'; only"),
-        ({"variant": "printed"}, "variant has no effect with .* 'conditional'; only closed_form uses it"),
-        ({"center": 3}, "center has no effect because targets is not a Catalog"),
-        (
-            {"allocator": rs.AllocationOptions("balanced", time_limit=1 * u.s)},
-            "time_limit has no effect with the allocator 'balanced'; only network_flow and optimal use it",
-        ),
-    ],
-)
+OPTIONS_WITHOUT_EFFECT = [
+    ({"method": "quadrature", "interval": "bootstrap"}, f"interval has no effect with .* 'quadrature'; {USERS}"),
+    ({"method": "quadrature", "stop": "convergence"}, f"stop has no effect with the method 'quadrature'; {USERS}"),
+    ({"method": "quadrature", "targets": "poisson"}, f"targets has no effect with .* 'quadrature'; {USERS}"),
+    (
+        {"method": "quadrature", "allocator": "lamost_rule"},
+        f"allocator has no effect with .* 'quadrature'; {USERS}",
+    ),
+    ({"method": "closed_form", "density": "uniform"}, "density has no effect with .*; only quadrature uses it"),
+    (
+        {"method": "closed_form", "precision": 0.1},
+        "precision has no effect with the method 'closed_form'; only qua",
+    ),
+    ({"method": "close_pair", "rng": 3}, "rng has no effect with the method 'close_pair'; only quadrature, mon"),
+    ({"method": "monte_carlo", "most_entries": 3}, "most_entries has no effect .*; only conditional uses it"),
+    ({"method": "monte_carlo", "density": "uniform"}, "density has no effect with the method 'monte_carlo'; only"),
+    ({"variant": "printed"}, "variant has no effect with .* 'conditional'; only closed_form uses it"),
+    ({"center": 3}, "center has no effect because targets is not a Catalog"),
+    (
+        {"allocator": rs.AllocationOptions("balanced", time_limit=1 * u.s)},
+        "time_limit has no effect with the allocator 'balanced'; only network_flow and optimal use it",
+    ),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), OPTIONS_WITHOUT_EFFECT)
 def test_options_without_effect_cause_one_warning(options, words):
     with pytest.warns(rs.RfpsurveyWarning) as told:
         found = flat.collision_probability(lamost_like(1), **options)

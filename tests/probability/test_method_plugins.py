@@ -93,38 +93,38 @@ def test_simulations_take_allocators_of_others(small, hers):
     assert own.meta["allocator"].endswith("<lambda>")
 
 
-@pytest.mark.parametrize(
-    ("answer", "words"),
-    [
-        (
-            None,
-            r"must return a dict, or an array of the shape \(37,\) with a probability for each positioner, got None",
-        ),
-        (0.5, r"got float of the shape \(\)"),
-        (np.zeros(3), r"got ndarray of the shape \(3,\)"),
-        (["a"] * 37, "must return a dict, or an array"),
-        ([[1], [1, 2]], "must return a dict, or an array"),
-        (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
-        (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
-        (np.full(37, np.nan), "the result must contain value, or per_positioner with the probability of"),
-        ({}, "the result must contain value, or per_positioner"),
-        ({"n": 3}, "the result must contain value, or per_positioner"),
-        (
-            {"values": 0.5},
-            "unknown field of a result 'values'; choose one of: high, low, meta, .* Did you mean 'value'",
-        ),
-        ({"value": 0.5, "method": "x"}, "unknown field of a result 'method'"),
-        ({"value": np.nan}, "value must be a number of at least 0 and at most 1, got nan"),
-        ({"value": 1.5}, "value must be a number of at least 0 and at most 1, got 1.5"),
-        ({"value": "0.5"}, "value must be a number"),
-        ({"value": np.ones(3)}, "value must be a number"),
-        ({"value": 0.5, "standard_error": -1}, "standard_error must be a number of at least 0, got -1"),
-        ({"value": 0.5, "n": 1.5}, "n must be a whole number of at least 0, got 1.5"),
-        ({"value": 0.5, "low": 0.6, "high": 0.7}, "must be in ascending order, got 0.6, 0.5 and 0.7"),
-        ({"value": 0.5, "low": 0.4}, "low, value and high must be in ascending order, got 0.4, 0.5 and nan"),
-        ({"value": 0.5, "meta": 3}, "meta must be a dict, got 3"),
-    ],
-)
+NO_ESTIMATES = [
+    (
+        None,
+        r"must return a dict, or an array of the shape \(37,\) with a probability for each positioner, got None",
+    ),
+    (0.5, r"got float of the shape \(\)"),
+    (np.zeros(3), r"got ndarray of the shape \(3,\)"),
+    (["a"] * 37, "must return a dict, or an array"),
+    ([[1], [1, 2]], "must return a dict, or an array"),
+    (np.full(37, 1.1), "per_positioner must be from 0 to 1, or NaN, got 1.1"),
+    (np.full(37, -0.1), "per_positioner must be from 0 to 1, or NaN, got -0.1"),
+    (np.full(37, np.nan), "the result must contain value, or per_positioner with the probability of"),
+    ({}, "the result must contain value, or per_positioner"),
+    ({"n": 3}, "the result must contain value, or per_positioner"),
+    (
+        {"values": 0.5},
+        "unknown field of a result 'values'; choose one of: high, low, meta, .* Did you mean 'value'",
+    ),
+    ({"value": 0.5, "method": "x"}, "unknown field of a result 'method'"),
+    ({"value": np.nan}, "value must be a number of at least 0 and at most 1, got nan"),
+    ({"value": 1.5}, "value must be a number of at least 0 and at most 1, got 1.5"),
+    ({"value": "0.5"}, "value must be a number"),
+    ({"value": np.ones(3)}, "value must be a number"),
+    ({"value": 0.5, "standard_error": -1}, "standard_error must be a number of at least 0, got -1"),
+    ({"value": 0.5, "n": 1.5}, "n must be a whole number of at least 0, got 1.5"),
+    ({"value": 0.5, "low": 0.6, "high": 0.7}, "must be in ascending order, got 0.6, 0.5 and 0.7"),
+    ({"value": 0.5, "low": 0.4}, "low, value and high must be in ascending order, got 0.4, 0.5 and nan"),
+    ({"value": 0.5, "meta": 3}, "meta must be a dict, got 3"),
+]
+
+
+@pytest.mark.parametrize(("answer", "words"), NO_ESTIMATES)
 def test_what_no_estimate_can_be_is_refused(small, answer, words):
     with pytest.raises(rs.InputError, match=f"^the method of collision probability .*<lambda>': .*{words}"):
         rs.collision_probability(small, method=always(answer))

@@ -283,18 +283,18 @@ def test_the_error_is_that_of_repeated_quadrature():
     assert abs(values.mean() - best.value) < 4 * np.hypot(values.std(ddof=1) / 5, best.standard_error)
 
 
-@pytest.mark.parametrize(
-    ("density", "words"),
-    [
-        (lambda p: -np.ones(len(p)), "density must return a finite number of at least 0 for each"),
-        (lambda p: np.full(len(p), np.nan), "density must return a finite number"),
-        (lambda p: np.full(len(p), np.inf), "density must return a finite number"),
-        (lambda p: 1.0, "density must return a finite number"),
-        (lambda p: np.ones((len(p), 2)), "density must return a finite number"),
-        (lambda p: np.zeros(len(p)), "density must be positive somewhere in every patrol area"),
-        (lambda p: (p[:, 0] > 0).astype(float), "density must be positive somewhere in every patrol area.*around"),
-    ],
-)
+BAD_DENSITIES = [
+    (lambda p: -np.ones(len(p)), "density must return a finite number of at least 0 for each"),
+    (lambda p: np.full(len(p), np.nan), "density must return a finite number"),
+    (lambda p: np.full(len(p), np.inf), "density must return a finite number"),
+    (lambda p: 1.0, "density must return a finite number"),
+    (lambda p: np.ones((len(p), 2)), "density must return a finite number"),
+    (lambda p: np.zeros(len(p)), "density must be positive somewhere in every patrol area"),
+    (lambda p: (p[:, 0] > 0).astype(float), "density must be positive somewhere in every patrol area.*around"),
+]
+
+
+@pytest.mark.parametrize(("density", "words"), BAD_DENSITIES)
 def test_bad_densities_are_named(density, words):
     refused(words, lambda: rs.collision_probability(lamost_like(2), method="quadrature", density=density))
 

@@ -240,35 +240,35 @@ def test_a_catalog_is_centered_on_its_mean_direction(rng):
     assert elsewhere.value != pytest.approx(there.value, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"targets": "random"}, "unknown kind of targets 'random'; choose one of: poisson, poisson_disc, uniform"),
-        ({"targets": 3}, "targets must be RandomTargets or one of uniform, poisson, poisson_disc, a Catalog"),
-        ({"targets": [[0, 1]]}, r"targets must be RandomTargets or .* got \[\[0, 1\]\]"),
-        ({"targets": np.zeros((3, 2))}, r"got array\(\[\[0"),
-        ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
-        ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
-        ({"targets": np.zeros((0, 2)) * MM}, "at least one row .*, got none"),
-        ({"targets": rs.Catalog(CENTER)}, "targets in a Catalog require an Instrument"),
-        ({"targets": lambda rng: rng.random((3, 2))}, "the result of the function given as targets must be a Quantity"),
-        ({"targets": lambda rng: rng.random((3, 3)) * MM}, "the function given as targets must have the shape"),
-        ({"n_targets": -1}, "number must be a number from 0 to"),
-        ({"n_targets": np.nan}, "number must be a number from 0 to"),
-        ({"n_targets": np.inf}, "number must be a number from 0 to"),
-        ({"n_targets": "many"}, "number must be a number from 0 to"),
-        ({"target_radius": 30}, "radius must be a Quantity"),
-        ({"target_radius": 0 * MM}, "radius must be one finite value above 0"),
-        ({"target_radius": np.nan * MM}, "radius must be one finite value above 0"),
-        ({"target_radius": 1 * u.deg}, "radius must have a unit convertible to mm"),
-        ({"min_separation": 2 * MM}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
-        ({"targets": "poisson_disc"}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
-        ({**DISCS, "min_separation": 0 * MM}, "min_separation must be one finite value above 0 mm"),
-        ({**DISCS, "min_separation": np.nan * MM}, "min_separation must be one finite value above 0 mm"),
-        ({**DISCS, "n_targets": 400}, "400 targets at least 5 mm apart do not fit into a circle with the radius 42.1"),
-        ({**DISCS, "min_separation": 1 * u.nm}, "min_separation must be at least"),
-    ],
-)
+BAD_TARGETS = [
+    ({"targets": "random"}, "unknown kind of targets 'random'; choose one of: poisson, poisson_disc, uniform"),
+    ({"targets": 3}, "targets must be RandomTargets or one of uniform, poisson, poisson_disc, a Catalog"),
+    ({"targets": [[0, 1]]}, r"targets must be RandomTargets or .* got \[\[0, 1\]\]"),
+    ({"targets": np.zeros((3, 2))}, r"got array\(\[\[0"),
+    ({"targets": np.zeros((3, 2)) * u.deg}, "targets must have a unit convertible to mm, got deg"),
+    ({"targets": np.zeros((3, 3)) * MM}, r"targets must have the shape \(n, 2\), got \(3, 3\)"),
+    ({"targets": np.zeros((0, 2)) * MM}, "at least one row .*, got none"),
+    ({"targets": rs.Catalog(CENTER)}, "targets in a Catalog require an Instrument"),
+    ({"targets": lambda rng: rng.random((3, 2))}, "the result of the function given as targets must be a Quantity"),
+    ({"targets": lambda rng: rng.random((3, 3)) * MM}, "the function given as targets must have the shape"),
+    ({"n_targets": -1}, "number must be a number from 0 to"),
+    ({"n_targets": np.nan}, "number must be a number from 0 to"),
+    ({"n_targets": np.inf}, "number must be a number from 0 to"),
+    ({"n_targets": "many"}, "number must be a number from 0 to"),
+    ({"target_radius": 30}, "radius must be a Quantity"),
+    ({"target_radius": 0 * MM}, "radius must be one finite value above 0"),
+    ({"target_radius": np.nan * MM}, "radius must be one finite value above 0"),
+    ({"target_radius": 1 * u.deg}, "radius must have a unit convertible to mm"),
+    ({"min_separation": 2 * MM}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
+    ({"targets": "poisson_disc"}, "min_separation must be given for the kind 'poisson_disc' and for no other"),
+    ({**DISCS, "min_separation": 0 * MM}, "min_separation must be one finite value above 0 mm"),
+    ({**DISCS, "min_separation": np.nan * MM}, "min_separation must be one finite value above 0 mm"),
+    ({**DISCS, "n_targets": 400}, "400 targets at least 5 mm apart do not fit into a circle with the radius 42.1"),
+    ({**DISCS, "min_separation": 1 * u.nm}, "min_separation must be at least"),
+]
+
+
+@pytest.mark.parametrize(("options", "words"), BAD_TARGETS)
 def test_bad_targets_are_named(options, words):
     refused(words, lambda: flat.collision_probability(lamost_like(1), max_iterations=4, **options))
 
@@ -280,25 +280,25 @@ def test_an_empty_catalog_has_no_mean_direction():
             flat.collision_probability(tiny(), targets=empty, **options)
 
 
-@pytest.mark.parametrize(
-    ("options", "expected"),
-    [
-        ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
-        ({"targets": "uniform", "n_targets": 14}, "conditional, the cheapest method with an error estimate"),
-        ({"targets": "uniform", "n_targets": 13}, "monte_carlo, since there are fewer than 2 targets per"),
-        (
-            {"targets": "uniform", "n_targets": 200},
-            "conditional, the cheapest method with an error estimate if positioners have queues of targets, with at "
-            "most 24 targets of each queue",
-        ),
-        (
-            {"targets": "uniform", "n_targets": 100, "allocator": "lamost_rule"},
-            "monte_carlo, since this allocator makes no",
-        ),
-        ({"estimand": "independent"}, "quadrature, the cheapest method with an error estimate for independent"),
-        ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as requested"),
-    ],
-)
+CHOICES = [
+    ({"targets": "uniform", "n_targets": 100}, "conditional, the cheapest method with an error estimate"),
+    ({"targets": "uniform", "n_targets": 14}, "conditional, the cheapest method with an error estimate"),
+    ({"targets": "uniform", "n_targets": 13}, "monte_carlo, since there are fewer than 2 targets per"),
+    (
+        {"targets": "uniform", "n_targets": 200},
+        "conditional, the cheapest method with an error estimate if positioners have queues of targets, with at "
+        "most 24 targets of each queue",
+    ),
+    (
+        {"targets": "uniform", "n_targets": 100, "allocator": "lamost_rule"},
+        "monte_carlo, since this allocator makes no",
+    ),
+    ({"estimand": "independent"}, "quadrature, the cheapest method with an error estimate for independent"),
+    ({"method": "monte_carlo", "targets": "uniform", "n_targets": 100}, "monte_carlo, as requested"),
+]
+
+
+@pytest.mark.parametrize(("options", "expected"), CHOICES)
 def test_an_estimate_says_why_its_method_was_used(options, expected):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm), rings=1, pitch=25.6 * u.mm)
     estimate = flat.collision_probability(plane, precision=0.2, rng=1, **options)

@@ -165,35 +165,35 @@ def test_settings_that_are_not_in_the_ray_trace_of_desi_are_interpolated(real_da
         np.testing.assert_allclose(u.Quantity(found).to_value(u.mm), expected, rtol=0, atol=1e-9)
 
 
+WRONG_VALUES = [
+    ({"coefficients": (1.0, 2.0)}, "coefficients must be 63 finite numbers"),
+    ({"coefficients": "many"}, "coefficients must be a sequence of numbers"),
+    ({"degree": 0}, "degree must be a whole number"),
+    ({"harmonics": -1}, "harmonics must be a whole number"),
+    ({"adc": 5 * u.deg}, "adc must be two finite angles"),
+    ({"adc": [5, np.nan] * u.deg}, "adc must be two finite angles"),
+    ({"max_angle": 95 * u.deg}, "max_angle must be"),
+    ({"coefficients": (0.0,) * 63}, "invertible at the field center"),
+]
+
+
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        ({"coefficients": (1.0, 2.0)}, "coefficients must be 63 finite numbers"),
-        ({"coefficients": "many"}, "coefficients must be a sequence of numbers"),
-        ({"degree": 0}, "degree must be a whole number"),
-        ({"harmonics": -1}, "harmonics must be a whole number"),
-        ({"adc": 5 * u.deg}, "adc must be two finite angles"),
-        ({"adc": [5, np.nan] * u.deg}, "adc must be two finite angles"),
-        ({"max_angle": 95 * u.deg}, "max_angle must be"),
-        ({"coefficients": (0.0,) * 63}, "invertible at the field center"),
-    ],
-)
+@pytest.mark.parametrize(("change", "text"), WRONG_VALUES)
 def test_values_that_are_not_valid_are_errors(traced, change, text):
     found = rs.projection.DistortionMap.from_ray_trace(traced, degree=5, harmonics=1)
     refused(text, lambda: replace(found, **change))
 
 
-@pytest.mark.parametrize(
-    ("change", "text"),
-    [
-        (lambda table: table.remove_column("X_FP"), "must have the column 'X_FP'"),
-        (lambda table: table.replace_column("X_FP", ["far"] * len(table)), "the columns must contain numbers"),
-        (lambda table: table["X_FP"].__setitem__(3, np.nan), "all values must be finite"),
-        (lambda table: table["ADC1"].__setitem__(3, 5), "ADC1 must be -ADC2"),
-        (lambda table: table.remove_rows(slice(20, None)), "must have enough rows .* coefficients, got 20 rows"),
-    ],
-)
+WRONG_RAY_TRACES = [
+    (lambda table: table.remove_column("X_FP"), "must have the column 'X_FP'"),
+    (lambda table: table.replace_column("X_FP", ["far"] * len(table)), "the columns must contain numbers"),
+    (lambda table: table["X_FP"].__setitem__(3, np.nan), "all values must be finite"),
+    (lambda table: table["ADC1"].__setitem__(3, 5), "ADC1 must be -ADC2"),
+    (lambda table: table.remove_rows(slice(20, None)), "must have enough rows .* coefficients, got 20 rows"),
+]
+
+
+@pytest.mark.parametrize(("change", "text"), WRONG_RAY_TRACES)
 def test_ray_traces_that_are_not_valid_are_errors(traced, tmp_path, change, text):
     table = Table.read(traced, format="ascii.csv")
     change(table)

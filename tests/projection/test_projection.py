@@ -150,39 +150,39 @@ def test_focal_length_is_another_way_to_say_plate_scale():
     assert plane.plate_scale.to_value(u.mm / u.deg) == pytest.approx(349.0658504)
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"plate_scale": 17.5}, "plate_scale must be a Quantity with a unit convertible to mm / rad, got 17.5"),
-        ({"plate_scale": 5 * u.mm}, "plate_scale must have a unit convertible to mm / rad, got mm"),
-        ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one finite value above 0 mm / rad, got -5"),
-        ({}, "requires plate_scale or distortion"),
-        ({"distortion": "no"}, "distortion must be a RadialMap, a DistortionMap, or a dict"),
-        ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "must be the plate scale of the distortion"),
-        ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
-        ({"plate_scale": 1 * u.mm / u.deg, "rotation": [5, 6] * u.deg}, "rotation must be one value, got the shape"),
-        ({"plate_scale": 1 * u.mm / u.deg, "rotation": np.nan * u.deg}, "rotation must be one finite value"),
-    ],
-)
+BAD_INPUT = [
+    ({"plate_scale": 17.5}, "plate_scale must be a Quantity with a unit convertible to mm / rad, got 17.5"),
+    ({"plate_scale": 5 * u.mm}, "plate_scale must have a unit convertible to mm / rad, got mm"),
+    ({"plate_scale": -5 * u.mm / u.deg}, "plate_scale must be one finite value above 0 mm / rad, got -5"),
+    ({}, "requires plate_scale or distortion"),
+    ({"distortion": "no"}, "distortion must be a RadialMap, a DistortionMap, or a dict"),
+    ({"plate_scale": 1 * u.mm / u.deg, "distortion": MAPS["theta"]}, "must be the plate scale of the distortion"),
+    ({"plate_scale": 1 * u.mm / u.deg, "rotation": 5}, "rotation must be a Quantity"),
+    ({"plate_scale": 1 * u.mm / u.deg, "rotation": [5, 6] * u.deg}, "rotation must be one value, got the shape"),
+    ({"plate_scale": 1 * u.mm / u.deg, "rotation": np.nan * u.deg}, "rotation must be one finite value"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     refused(message, lambda: rs.projection.TangentPlane(SkyCoord(0, 0, unit="deg"), **arguments))
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"max_angle": 90 * u.deg}, "max_angle must be one finite value above 0 rad and below 1.5708 rad"),
-        ({"unit_angle": 0 * u.deg}, "unit_angle must be one finite value above 0"),
-        ({"unit_tangent": -1.0}, "unit_tangent must be one finite value above 0"),
-        ({"factor": np.nan}, "factor must be one finite value above 0"),
-        ({"coefficients": 5}, "coefficients must be a sequence of numbers"),
-        ({"coefficients": []}, "coefficients must be one or more finite numbers"),
-        ({"form": "cubic"}, "unknown form of radial map 'cubic'; choose one of: sine, tan_theta, theta"),
-        ({"form": "sine"}, "radius must be given for the form 'sine' and only for this form"),
-        ({"form": "sine", "radius": -9 * u.m}, "radius must be one finite value above 0 mm"),
-        ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must increase from the center"),
-    ],
-)
+BAD_MAPS = [
+    ({"max_angle": 90 * u.deg}, "max_angle must be one finite value above 0 rad and below 1.5708 rad"),
+    ({"unit_angle": 0 * u.deg}, "unit_angle must be one finite value above 0"),
+    ({"unit_tangent": -1.0}, "unit_tangent must be one finite value above 0"),
+    ({"factor": np.nan}, "factor must be one finite value above 0"),
+    ({"coefficients": 5}, "coefficients must be a sequence of numbers"),
+    ({"coefficients": []}, "coefficients must be one or more finite numbers"),
+    ({"form": "cubic"}, "unknown form of radial map 'cubic'; choose one of: sine, tan_theta, theta"),
+    ({"form": "sine"}, "radius must be given for the form 'sine' and only for this form"),
+    ({"form": "sine", "radius": -9 * u.m}, "radius must be one finite value above 0 mm"),
+    ({"form": "sine", "radius": 1 * u.m, "coefficients": [-100]}, "must increase from the center"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_MAPS)
 def test_bad_maps_are_named(arguments, message):
     good = {"form": "theta", "coefficients": [200.0], "max_angle": 1 * u.deg}
     refused(message, lambda: rs.projection.RadialMap(**{**good, **arguments}))

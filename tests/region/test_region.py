@@ -135,32 +135,32 @@ def test_samples_are_the_pixels_inside():
         assert is_inside(region, near).sum() == region.contains(centers).sum()
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: rs.Region.parse("circle 1 2 3"), "unknown kind of region 'circle'; choose one of: box, cap, polygon"),
-        (lambda: rs.Region.parse("cap 1 2"), "must have the form 'cap RA DEC RADIUS'"),
-        (lambda: rs.Region.parse("box 1 2 3 x"), "must have the form 'box RA1 RA2 DEC1 DEC2'"),
-        (lambda: rs.Region.parse("cap 1 92 3"), "declinations must lie between"),
-        (lambda: rs.Region.parse(""), "unknown kind of region ''"),
-        (lambda: rs.Region.parse("box 1 2 30 20"), "dec must be .lower, upper., got .30, 20. deg"),
-        (lambda: rs.Region.parse("box 5 5 0 20"), "ra must be two different angles that are at most 360 deg apart"),
-        (lambda: rs.Region.parse("box 5 6 0 91"), "dec must be one finite value"),
-        (lambda: rs.Region.parse("polygon 0 0 1 1"), "at least 3 vertices, got 2"),
-        (lambda: rs.Region.parse("polygon 0 0 10 10 10 0 0 10"), "cross or touch"),
-        (lambda: rs.Region.parse("polygon 0 0 10 0 10 10 5 0 0 10"), "cross or touch"),
-        (lambda: rs.Region.parse("polygon 0 0 10 0 10 0 5 5"), "vertices 2 and 3 of the polygon are the same"),
-        (lambda: rs.Region.parse("polygon 0 0 180 0 10 20"), "are opposite"),
-        (lambda: rs.Region.box(ra=(1, 2), dec=(1 * DEG, 2 * DEG)), "ra must be a Quantity"),
-        (lambda: rs.Region.box(ra=1 * DEG, dec=(1 * DEG, 2 * DEG)), "ra must be two angles"),
-        (lambda: rs.Region.cap(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG), "center must be one direction"),
-        (lambda: rs.Region.cap(SkyCoord(1 * DEG, 3 * DEG), 1 * u.mm), "radius must have a unit convertible to deg"),
-        (lambda: rs.Region.healpix([], 8), "one or more whole numbers"),
-        (lambda: rs.Region.healpix([768], 8), "pixels must be from 0 to 767"),
-        (lambda: rs.Region.healpix([1], 6), "power of two"),
-        (lambda: rs.Region.healpix([1], 8, "nest"), "unknown order of pixels 'nest'"),
-    ],
-)
+BAD_REGIONS = [
+    (lambda: rs.Region.parse("circle 1 2 3"), "unknown kind of region 'circle'; choose one of: box, cap, polygon"),
+    (lambda: rs.Region.parse("cap 1 2"), "must have the form 'cap RA DEC RADIUS'"),
+    (lambda: rs.Region.parse("box 1 2 3 x"), "must have the form 'box RA1 RA2 DEC1 DEC2'"),
+    (lambda: rs.Region.parse("cap 1 92 3"), "declinations must lie between"),
+    (lambda: rs.Region.parse(""), "unknown kind of region ''"),
+    (lambda: rs.Region.parse("box 1 2 30 20"), "dec must be .lower, upper., got .30, 20. deg"),
+    (lambda: rs.Region.parse("box 5 5 0 20"), "ra must be two different angles that are at most 360 deg apart"),
+    (lambda: rs.Region.parse("box 5 6 0 91"), "dec must be one finite value"),
+    (lambda: rs.Region.parse("polygon 0 0 1 1"), "at least 3 vertices, got 2"),
+    (lambda: rs.Region.parse("polygon 0 0 10 10 10 0 0 10"), "cross or touch"),
+    (lambda: rs.Region.parse("polygon 0 0 10 0 10 10 5 0 0 10"), "cross or touch"),
+    (lambda: rs.Region.parse("polygon 0 0 10 0 10 0 5 5"), "vertices 2 and 3 of the polygon are the same"),
+    (lambda: rs.Region.parse("polygon 0 0 180 0 10 20"), "are opposite"),
+    (lambda: rs.Region.box(ra=(1, 2), dec=(1 * DEG, 2 * DEG)), "ra must be a Quantity"),
+    (lambda: rs.Region.box(ra=1 * DEG, dec=(1 * DEG, 2 * DEG)), "ra must be two angles"),
+    (lambda: rs.Region.cap(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG), "center must be one direction"),
+    (lambda: rs.Region.cap(SkyCoord(1 * DEG, 3 * DEG), 1 * u.mm), "radius must have a unit convertible to deg"),
+    (lambda: rs.Region.healpix([], 8), "one or more whole numbers"),
+    (lambda: rs.Region.healpix([768], 8), "pixels must be from 0 to 767"),
+    (lambda: rs.Region.healpix([1], 6), "power of two"),
+    (lambda: rs.Region.healpix([1], 8, "nest"), "unknown order of pixels 'nest'"),
+]
+
+
+@pytest.mark.parametrize(("make", "message"), BAD_REGIONS)
 def test_bad_regions_are_named(make, message):
     refused(message, make)
 
