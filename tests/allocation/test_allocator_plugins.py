@@ -87,8 +87,7 @@ def test_a_plan_of_others_can_be_repaired(hers):
 
 
 def test_stuck_fibers_look_at_sky_without_being_asked():
-    stuck = [[np.nan, np.nan], [0, 90]] * u.deg
-    plane = replace(PAIR, stuck=stuck)
+    plane = replace(PAIR, stuck=[[np.nan, np.nan], [0, 90]] * u.deg)
     options = {"requirements": "sky=1", "sky_separation": 1 * u.mm}
     usual = flat.allocate(plane, FOUR, allocator="lamost_rule", **options)
     assert usual.target_of_positioner[1] == usual.n_given  # the target of the stuck positioner

@@ -158,8 +158,7 @@ def test_a_warning_states_that_the_highest_priority_has_no_fiber(allocator):
 
 def test_a_given_plan_changes_only_where_it_gets_better():
     plane, (n, seed) = sdss_like(rings=5), (200, 1)
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(-120, 120, (n, 2)) * MM
+    xy = np.random.default_rng(seed).uniform(-120, 120, (n, 2)) * MM
     best = rs.allocate(plane, xy, allocator="optimal")
     kept = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=best))
     np.testing.assert_array_equal(kept.target_of_positioner, best.target_of_positioner)

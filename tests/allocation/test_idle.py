@@ -29,8 +29,7 @@ def test_collisions_of_idle_arms_are_the_last_objective(xy, subpriority, expecte
 
 def enumerate_plans(plane, xy):
     """Return the number of targets and of collisions between idle arms, for plans whose other arms do not collide."""
-    reach = plane.reachable(xy).toarray()
-    choices = [[-1, *np.flatnonzero(row)] for row in reach]
+    choices = [[-1, *np.flatnonzero(row)] for row in plane.reachable(xy).toarray()]
     for targets in product(*choices):
         used = [t for t in targets if t >= 0]
         if len(set(used)) < len(used):

@@ -33,8 +33,7 @@ def scenes(draw, kinds=KINDS):
     """Targets with classes and kinds, at random positions or on a lattice, which has many ties in distance."""
     n = draw(st.integers(1, 24))
     lattice = arrays(float, (n, 2), elements=st.integers(-7, 7).map(lambda k: 6.4 * k))
-    anywhere = arrays(float, (n, 2), elements=st.floats(-45, 45, allow_subnormal=False))
-    xy = draw(lattice | anywhere)
+    xy = draw(lattice | arrays(float, (n, 2), elements=st.floats(-45, 45, allow_subnormal=False)))
     priority = draw(st.lists(st.integers(0, 2), min_size=n, max_size=n))
     return xy, priority, draw(st.lists(st.sampled_from(kinds), min_size=n, max_size=n))
 
@@ -55,8 +54,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
 
     ``column(i, t)`` is the spectrograph in which positioner i observes target t.
     """
-    science = [k == "science" for k in kind]
-    target_of = lamost_target(xy, plane.arrays.xy, can & science, priority)
+    target_of = lamost_target(xy, plane.arrays.xy, can & [k == "science" for k in kind], priority)
     locked = set()
     for one in requirements:
         if one.minimum == 0:

@@ -140,8 +140,7 @@ def test_the_optimum_is_that_of_an_integer_program_with_sampled_conflicts(scene,
     plane, rng = make(), np.random.default_rng([seed, len(scene)])
     half = np.abs(plane.xy.value).max()
     points = rng.uniform(-half, half, (rng.integers(8, 16), 2))
-    directions = idle_directions(plane, points, law)
-    best, collisions = best_number(plane, points, law, directions)
+    best, collisions = best_number(plane, points, law, idle_directions(plane, points, law))
     answers = {}
     for allocator in ("optimal", "repair"):
         options = rs.AllocationOptions(allocator, constraints=[rs.constraints.Motion("fold", law)])
@@ -159,18 +158,15 @@ def test_ignored_idle_arms_beside_obstacles():
     """Regression: an idle arm that is ignored, and that could touch an obstacle, raised an IndexError."""
     unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
     plane = rs.FocalPlane([[0, 0]] * u.mm, unit, obstacles=[[9, 0, 1]] * u.mm)
-    found = rs.collision.find_motion(plane, [[np.nan] * 2] * u.mm, parked_obstacles=False)
-    assert found.n_planner == 0
+    assert rs.collision.find_motion(plane, [[np.nan] * 2] * u.mm, parked_obstacles=False).n_planner == 0
 
 
 def test_idle_arms_turn_within_their_joint_limits():
     """Regression: a folded idle arm was turned to a direction outside of its range of theta."""
     unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
-    limits = [[np.nan] * 2, [-10, 10]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit, theta_range=limits)
+    plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit, theta_range=[[np.nan] * 2, [-10, 10]] * u.deg)
     options = rs.AllocationOptions("optimal", constraints="motion fold")
-    found = rs.allocate(plane, [[20, 0]] * u.mm, allocator=options)
-    assert (found.target_of_positioner < 0).all()
+    assert (rs.allocate(plane, [[20, 0]] * u.mm, allocator=options).target_of_positioner < 0).all()
     free = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit)
     assert rs.allocate(free, [[20, 0]] * u.mm, allocator=options).target_of_positioner.tolist() == [0, -1]
 

@@ -54,8 +54,7 @@ def divided_scene(seed):
     plane, xy, options, rng = random_scene(seed, SEVERAL)
     n, m = len(plane), len(xy)
     fibers = np.append(["A+B"], rng.choice(["A+B", "B+A", "B"], n - 1))
-    spectrograph = rng.integers(0, 2, (n, 2) if seed % 2 else n)
-    plane = replace(plane, fiber_type=fibers, spectrograph=spectrograph)
+    plane = replace(plane, fiber_type=fibers, spectrograph=rng.integers(0, 2, (n, 2) if seed % 2 else n))
     requirements = []
     for what in rng.choice(["sky", "standard", "good", "science"], rng.integers(1, 4), replace=False).tolist():
         low = int(rng.integers(0, 4)) if what != "science" else 0

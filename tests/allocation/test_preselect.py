@@ -97,8 +97,7 @@ def test_repair_of_few_candidates_keeps_its_bound_and_leaves_no_collision(monkey
 def test_rules_in_a_crowd_are_the_rules_as_written(seed):
     """Each positioner keeps more candidates than it has rivals, so that no target of the rule is omitted."""
     rng = np.random.default_rng(seed)
-    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
-    plane = rs.FocalPlane.hexagonal(unit, rings=1, pitch=20 * MM)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM), rings=1, pitch=20 * MM)
     # many targets at equal distances
     xy = np.concatenate([rng.uniform(-36, 36, (150, 2)), 4.0 * rng.integers(-9, 9, (60, 2))])
     priority = rng.integers(0, 3, len(xy)).tolist()

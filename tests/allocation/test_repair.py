@@ -97,8 +97,7 @@ def test_there_is_something_to_repair(equal, seed):
 @pytest.mark.parametrize("parked", [True, False])
 def test_parked_arms_are_in_the_way_if_they_count(parked):
     """An idle arm along +x covers the target of its neighbor, which can be observed only without parked arms."""
-    unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit)
+    plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
     alone = flat.allocate(plane, [[16, 1]] * MM, "repair", parked_obstacles=parked, forbidden=[[1, 0]])
     stands = rs.find_collisions(plane, [[16, 1], [np.nan, np.nan]] * MM, parked_obstacles=parked)
     assert alone.n_assigned == (len(stands.pairs) == 0) == (not parked)

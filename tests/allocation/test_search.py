@@ -209,13 +209,11 @@ def plans(options, pairs, alive):
 @pytest.mark.parametrize("seeds", [range(500), pytest.param(range(500, 1500), marks=pytest.mark.exhaustive)])
 def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclude(seeds):
     for seed in seeds:
-        rng = np.random.default_rng(seed)
-        options, pairs = random_conflicts(rng)
+        options, pairs = random_conflicts(np.random.default_rng(seed))
         # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
-            everything = np.ones(len(options.own), bool)
-            before = list(plans(case, pairs, everything))
+            before = list(plans(case, pairs, np.ones(len(options.own), bool)))
             if not before:
                 continue
             alive = reduced(case)

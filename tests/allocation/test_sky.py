@@ -60,8 +60,7 @@ def check_columns(found, xy):
 @pytest.mark.parametrize("name", PLANES)
 def test_found_sky_is_blank_and_in_reach(name, method, rng):
     plane = PLANES[name]
-    n = {"lamost_rule": 150, "network_flow": 60}.get(method, 100)
-    xy, separation = targets(rng, n), 4.0
+    xy, separation = targets(rng, {"lamost_rule": 150, "network_flow": 60}.get(method, 100)), 4.0
     found = flat.allocate(plane, xy * MM, method, requirements="sky=20", sky_separation=separation * MM)
     check_columns(found, xy)
     own, rows = blank_of(found)
@@ -77,8 +76,7 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     assert (r <= outer * (1 + 1e-12)).all()
     assert (r[~stuck] >= inner[~stuck]).all()
     assert not plane.disabled[own].any()
-    can = plane.reachable(found.xy).toarray()
-    assert can[own[~stuck], rows[~stuck]].all()
+    assert plane.reachable(found.xy).toarray()[own[~stuck], rows[~stuck]].all()
     posed = found.place_arms(plane)
     unit = plane.positioner
     if unit.phi_range is not None:
@@ -206,8 +204,7 @@ def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     }
     lacking = {(s.requirement.fiber_type, s.spectrograph): s.found for s in found.unmet}
     for (name, place), n in counts.items():
-        most = {"A": 2, "B": 3}[name]
-        assert n == lacking[name, place] if (name, place) in lacking else n >= most
+        assert n == lacking[name, place] if (name, place) in lacking else n >= {"A": 2, "B": 3}[name]
     # fiber type B belongs only to spectrographs 0 and 1
     assert set(lacking) == {("B", 2)}
     assert lacking["B", 2] == 0

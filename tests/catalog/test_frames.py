@@ -74,8 +74,7 @@ def test_tilings_of_dataframes_are_those_of_their_tables():
         sky = rs.synthetic_catalog("uniform", SkyCoord("95d 23d"), 1 * DEG, n_targets=50, rng=1)
         assert len(rs.plan_survey(sky, "sdss_apo", given)) == 3
         assert len(rs.tiling.Centers(given).coord) == 3
-    part = frame[frame["RACEN"] > 94.5]
-    assert rs.Tiling.from_table(part).table["tile"].tolist() == [0, 1]
+    assert rs.Tiling.from_table(frame[frame["RACEN"] > 94.5]).table["tile"].tolist() == [0, 1]
     hours = rs.Tiling.from_table(frame.assign(RACEN=frame["RACEN"] / 15), units={"ra": "hourangle"})
     np.testing.assert_allclose(hours.table["ra"].to_value(DEG), frame["RACEN"])
     refused("no column", lambda: rs.Tiling.from_table(frame.drop(columns="RACEN")))
@@ -158,8 +157,7 @@ def test_parquet_of_pandas(frame, tmp_path):
 def test_tables_of_arrow(frame):
     pa = pytest.importorskip("pyarrow")
     frame["visits"] = pd.array([1, None] * (N // 2), dtype="Int64")
-    table = pa.Table.from_pandas(frame)
-    catalog = rs.Catalog.from_table(table, fill={"visits": 2})
+    catalog = rs.Catalog.from_table(pa.Table.from_pandas(frame), fill={"visits": 2})
     assert catalog.id.tolist() == frame["source_id"].tolist()
     assert catalog.visits[:2].tolist() == [1, 2]
 

@@ -43,8 +43,7 @@ def test_targets_with_masked_proper_motions_keep_their_positions(presets, change
     assert (moved.ra == same.at_epoch(2026).coord.icrs.ra).all()
     tile = rs.plan_tile(change(coord), presets["sdss_apo"], CENTER, epoch=2026.5)
     assert tile.summary["n_in_field"] == N
-    table = QTable({"coord": coord, "id": np.arange(N)})
-    assert len(rs.Catalog.from_table(table)) == N
+    assert len(rs.Catalog.from_table(QTable({"coord": coord, "id": np.arange(N)}))) == N
 
 
 def test_targets_with_masked_positions_are_removed(presets):

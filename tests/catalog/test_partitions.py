@@ -93,8 +93,7 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
 @pytest.mark.parametrize(("kept", "most"), [(10_000_000, 1), (1, 100)])
 def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, most):
     read = []
-    parts = rs.catalog.PartitionedCatalog(folder, kept_rows=kept)
-    source = _source.Partitioned(parts)
+    source = _source.Partitioned(rs.catalog.PartitionedCatalog(folder, kept_rows=kept))
     real = Partitions.part
     monkeypatch.setattr(Partitions, "part", lambda self, k: (read.append(k), real(self, k))[1])
     left = np.ones(len(source), dtype=np.uint8)

@@ -26,8 +26,7 @@ def assert_within_the_bound(first, second):
     ends = np.array([*first, *second], dtype=float)
     got = Fraction(float(np.sqrt(collisions.segments_squared(*ends))))
     bound = Fraction(collisions.DISTANCE_ERROR) * Fraction(longest_difference(first, second) * (1 + 1e-15))
-    true2 = squared_distance(first, second)
-    assert max(got - bound, 0) ** 2 <= true2 <= (got + bound) ** 2
+    assert max(got - bound, 0) ** 2 <= squared_distance(first, second) <= (got + bound) ** 2
 
 
 @pytest.mark.parametrize("n", [3000, pytest.param(10_000, marks=pytest.mark.exhaustive)])
@@ -59,8 +58,7 @@ def test_adversarial_pairs_are_decided_as_by_rationals_or_borderline(name, n):
 
 @given(segments(2), st.sampled_from([1.25, 2.5, 4.5]))
 def test_any_pair_is_decided_as_by_rationals(pair, limit):
-    got = decide(*pair.tolist(), limit)
-    assert got in (None, closer_than(*pair, limit))
+    assert decide(*pair.tolist(), limit) in (None, closer_than(*pair, limit))
     assert_within_the_bound(*pair.tolist())
 
 
@@ -92,8 +90,7 @@ def test_almost_collinear_segments_do_not_cross():
     def turn(a, b, p):
         return (x[b] - x[a]) * (y[p] - y[a]) - (y[b] - y[a]) * (x[p] - x[a])
 
-    naive = (turn(0, 1, 2) * turn(0, 1, 3) < 0) & (turn(2, 3, 0) * turn(2, 3, 1) < 0)
-    assert naive.any()
+    assert ((turn(0, 1, 2) * turn(0, 1, 3) < 0) & (turn(2, 3, 0) * turn(2, 3, 1) < 0)).any()
     segments = np.hstack([[x[0], y[0], x[1], y[1]], [x[2], y[2], x[3], y[3]]])
     squared = np.empty(n)
     reference.all_pairs(segments, np.arange(n), np.arange(n, 2 * n), squared)

@@ -43,8 +43,7 @@ def test_distance_does_not_depend_on_where_the_scene_is(values, angle, shift):
 
 def test_crossing_arms_have_distance_zero():
     """The four endpoint distances of these crossing arms are 10 mm."""
-    cross = np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]])
-    assert collisions.segments_squared(*cross.ravel()) == 0
+    assert collisions.segments_squared(*np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]]).ravel()) == 0
 
 
 def test_the_limit_is_strict():
@@ -57,8 +56,7 @@ def test_the_limit_is_strict():
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
         assert len(plane.neighbor_pairs()) == 1
         # stretched, parallel arms at the minimum separation
-        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
-        assert len(report.pairs) == n
+        assert len(rs.find_collisions(plane, [[8, 0], [8, gap]] * MM).pairs) == n
         obstacle = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[6, gap, 2.25]] * MM)
         assert len(rs.find_collisions(obstacle, [[8, 0]] * MM).obstacle_pairs) == n
 
@@ -139,8 +137,7 @@ def test_idle_unequal_arms_give_way():
     report = rs.find_collisions(plane, tips * MM)
     assert len(report.pairs) == 0
     assert report.counted.sum() == 1
-    arms = place_arms(plane, tips * MM)
-    assert arms.present.sum() == 1
+    assert place_arms(plane, tips * MM).present.sum() == 1
 
 
 def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():

@@ -158,8 +158,7 @@ def test_a_swept_capsule_keeps_its_angle():
             arm_angle=angle * u.deg,
             home=[90, 0] * u.deg,
         )
-        stuck = [[np.nan, np.nan], [-90, 0]] * u.deg
-        plane = rs.FocalPlane([[0, 0], [-5, 19]] * MM, unit, stuck=stuck)
+        plane = rs.FocalPlane([[0, 0], [-5, 19]] * MM, unit, stuck=[[np.nan, np.nan], [-90, 0]] * u.deg)
         pose = {"theta": [0, np.nan] * u.deg, "phi": [0, np.nan] * u.deg}
         assert len(rs.find_collisions(plane, **pose).pairs) == 0
         assert len(rs.find_collisions(plane, **pose, method="sweep").pairs) == n
@@ -234,15 +233,13 @@ def test_single_precision_moves_arms_by_less_than_a_micrometer_except_at_full_st
     inside = (r > 7.7) & (r < 22.3)
     tips[~inside] = np.nan * MM
     rough = place_arms(plane, tips.astype(np.float32))
-    moved = np.abs(rough.segments - place_arms(plane, tips).segments)[inside]
-    assert 1e-7 < moved.max() < 1e-3
+    assert 1e-7 < np.abs(rough.segments - place_arms(plane, tips).segments)[inside].max() < 1e-3
 
 
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (7.4, 15.0), (15.0, 7.4)])
 def test_arms_at_the_limits_of_their_reach(l1, l2):
     """For (almost) stretched and (almost) folded arms, the elbow and the tip are those of exact geometry."""
-    unit = rs.Positioner(l1 * MM, l2 * MM, 1 * MM)
-    plane = rs.FocalPlane([[0, 0]] * MM, unit)
+    plane = rs.FocalPlane([[0, 0]] * MM, rs.Positioner(l1 * MM, l2 * MM, 1 * MM))
     for angle in np.linspace(0, 2 * np.pi, 7):
         ux, uy = np.cos(angle), np.sin(angle)
         for r, along in ((l1 + l2, l1), (abs(l1 - l2), np.copysign(l1, l1 - l2))):
@@ -259,8 +256,7 @@ def test_fiber_tips_alone():
     unit = rs.Positioner(7.4 * MM, 15 * MM, 1 * MM, arm_model="fiber_tip")
     plane = rs.FocalPlane([[0, 0], [22.4, 0]] * MM, unit)
     for gap, n in ((1.99, 1), (2.01, 0)):
-        report = rs.find_collisions(plane, [[11, gap / 2], [11, -gap / 2]] * MM)
-        assert len(report.pairs) == n
+        assert len(rs.find_collisions(plane, [[11, gap / 2], [11, -gap / 2]] * MM).pairs) == n
     crossing = replace(plane, positioner=replace(unit, arm_model="elbow_to_tip"))
     assert len(rs.find_collisions(crossing, [[11, 1.005], [11, -1.005]] * MM).pairs) == 1
 
@@ -309,8 +305,7 @@ def test_arms_that_only_rounding_lets_touch():
     assert plane.collision_type == 1
     assert len(plane.neighbor_pairs()) == 0
     report = rs.find_collisions(plane, [[reach, 0], [pitch - reach, 0]] * MM)
-    gap = Fraction(pitch - reach) - Fraction(reach)
-    assert gap < Fraction(separation)
+    assert (Fraction(pitch - reach) - Fraction(reach)) < Fraction(separation)
     assert report.pairs.tolist() == [[0, 1]]
     assert report.n_borderline == 1
 
@@ -319,8 +314,7 @@ def test_almost_equal_arms_are_as_long_as_equal_ones():
     """If the arm lengths differ by less than 1e-9 mm, the distance of the elbow is between both lengths."""
     unit = rs.Positioner(8.0000000009 * MM, 8.0 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [12.0000000005, 0]] * MM, unit)
-    segments = place_arms(plane, plane.xy).segments
-    assert closer_than(*segments, 4.0)
+    assert closer_than(*place_arms(plane, plane.xy).segments, 4.0)
     assert rs.find_collisions(plane, plane.xy).pairs.tolist() == [[0, 1]]
 
 
@@ -341,8 +335,7 @@ def test_sweeping_misses_nothing_at_the_limit(rng):
 
 def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     """For collision type 1, no pairs are tested and no poses are computed, but invalid tips are reported."""
-    unit = rs.Positioner(8 * MM, 8 * MM, 1 * MM)
-    plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=40 * MM)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(8 * MM, 8 * MM, 1 * MM), rings=2, pitch=40 * MM)
     assert plane.collision_type == 1
     assert len(plane.arrays.neighbors) == 0
     tips = plane.xy + [12, 3] * MM
@@ -368,8 +361,7 @@ def test_pairs_do_not_depend_on_the_order_of_positioners(rng):
             replace(plane, xy=plane.xy[order], **dict.fromkeys(("id", "spectrograph", "fiber_type", "disabled"))),
             tips[order],
         )
-        expected = {tuple(sorted(p)) for p in np.argsort(order)[report.pairs].tolist()}
-        assert pairs_of(shuffled) == expected
+        assert pairs_of(shuffled) == {tuple(sorted(p)) for p in np.argsort(order)[report.pairs].tolist()}
         assert shuffled.pairs.tolist() == sorted(shuffled.pairs.tolist())
 
 

@@ -52,8 +52,7 @@ def random_pairs(rng, n):
 
 @pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, N_BLOCKS))])
 def test_arms_that_never_meet_keep_the_separation_and_others_miss_it_by_the_tolerance(block):
-    rng = np.random.default_rng([7, block])
-    one, two, separation = random_pairs(rng, N_BLOCK)
+    one, two, separation = random_pairs(np.random.default_rng([7, block]), N_BLOCK)
     meets = np.empty(N_BLOCK, dtype=bool)
     decide(one, two, separation, meets)
     assert 0.2 < meets.mean() < 0.8
@@ -141,8 +140,7 @@ def test_folded_arms_that_can_touch_are_named():
 def test_folded_arms_turn_only_where_broken_arms_leave_space():
     """A stuck arm, which points at the center of its neighbor, leaves an arc to the folded arm of this neighbor."""
     unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM)
-    stuck = [[np.nan, np.nan], [180, 20]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=stuck)
+    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=[[np.nan, np.nan], [180, 20]] * u.deg)
     segment = rs.collision.place_arms(plane, [[np.nan] * 2] * 2 * MM).segments[1]
     clear = []
     for theta in np.deg2rad(np.arange(360)):
@@ -165,8 +163,7 @@ def test_folded_arms_turn_only_where_broken_arms_leave_space():
         reference = (theta, arms) if reference is None and not report.blocked[0] else reference
         # the free directions form two arcs, on both sides of the stuck arm
         between = np.arange(reference[0], theta + 1)
-        others = np.r_[theta:360, : reference[0] + 1]
-        free = (clear[between] > 0).all() or (clear[others] > 0).all()
+        free = (clear[between] > 0).all() or (clear[np.r_[theta:360, : reference[0] + 1]] > 0).all()
         if abs(clear[between]).min() > 0.1 or not free:
             assert find_motion(plane, arms, before=reference[1]).blocked[0] == (not free)
             assert report.blocked[0] == (not free)
@@ -176,8 +173,7 @@ def test_folded_arms_turn_only_where_broken_arms_leave_space():
 def test_arms_turn_between_all_directions_that_they_reach_from_the_parked_pose():
     """A joint range of more than 360 deg contains the parked pose twice, in different arcs of joint angles."""
     unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM, theta_range=[0, 380] * u.deg)
-    stuck = [[np.nan, np.nan], [180, 20]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=stuck)
+    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=[[np.nan, np.nan], [180, 20]] * u.deg)
     poses = []
     for theta in range(0, 360, 10):
         pose = {"theta": [theta, np.nan] * u.deg, "phi": [179.0, np.nan] * u.deg}

@@ -93,8 +93,7 @@ def test_methods_of_probability_agree_near_polygons():
         rs.collision_probability(plane, targets=targets, method=method, precision=0.004, rng=2)
         for method in ("conditional", "monte_carlo")
     ]
-    error = np.hypot(*(one.standard_error for one in found))
-    assert abs(found[0].value - found[1].value) < 4 * error
+    assert abs(found[0].value - found[1].value) < 4 * np.hypot(*(one.standard_error for one in found))
     bare = rs.collision_probability(
         replace(plane, obstacle_polygons=None), targets=targets, method="conditional", precision=0.004, rng=2
     )

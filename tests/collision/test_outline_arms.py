@@ -124,8 +124,7 @@ def test_other_methods_refuse_outlines(method):
 
 def test_outline_survives_tables_and_descriptions(tmp_path):
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
-    path = tmp_path / "plane.ecsv"
-    plane.to_table().write(path)
+    plane.to_table().write(tmp_path / "plane.ecsv")
     again = rs.FocalPlane.from_table(rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm).to_table())
     assert again.positioner.outline.to_dict() == DESI_LIKE.outline.to_dict()
     text = """
@@ -162,8 +161,7 @@ plate_scale = { value = 60.0, unit = "um/arcsec" }
 
 def test_outlines_are_drawn():
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=2, pitch=9.5 * u.mm)
-    ax = Figure().subplots()
-    rs.plot.plot_focal_plane(plane, ax=ax)
+    rs.plot.plot_focal_plane(plane, ax=Figure().subplots())
 
 
 def test_parts_of_an_outline_are_one_path_per_arm():

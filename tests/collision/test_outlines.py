@@ -40,8 +40,7 @@ def two(parts, *, separation=0.0, distance=10.0, turned=False, central=(), arm=3
     outline = make_outline(shape, elbows - [arm, 0.0], np.full(2, arm))
     length = shape.length.value * np.array([1.0, -1.0 if turned else 1.0])
     cores = np.column_stack([elbows, elbows + np.column_stack([length, [0.0, 0.0]])])
-    total = separation + outline.offset
-    squared = outlines.outlines_squared(outline, total, 0, 1, *cores[0], *cores[1])
+    squared = outlines.outlines_squared(outline, separation + outline.offset, 0, 1, *cores[0], *cores[1])
     return np.sqrt(squared) - outline.offset, outlines_closer_exactly(outline, 0, 1, *cores, separation)
 
 

@@ -166,7 +166,6 @@ def test_blanks_do_not_matter():
 
 @pytest.mark.parametrize(("what", "hint"), [("brihgt", "; did you mean 'bright'?"), ("sky", ""), ("zzz", "")])
 def test_a_name_that_no_target_has_is_guessed_at(what, hint):
-    unit = rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm)
-    plane = rs.FocalPlane([[0, 0]] * u.mm, unit)
+    plane = rs.FocalPlane([[0, 0]] * u.mm, rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm))
     found = flat.allocate(plane, [[1, 2]] * u.mm, "balanced", requirements=f"{what}=3", category=["bright"])
     assert [str(one) for one in found.unmet] == [f"{what} targets: 0 of 3, 3 missing; none is in reach{hint}"]

@@ -24,8 +24,7 @@ def sky(small):
     mag = rng.uniform(9, 20, len(sky))
     mag[:60] = np.tile(MISSING, 15)
     kind = rng.choice(["science", "science", "standard", "sky"], len(sky))
-    extra = QTable({"mag": mag, "word": np.full(len(sky), "a")})
-    return rs.Catalog(sky.coord, kind=kind, extra=extra)
+    return rs.Catalog(sky.coord, kind=kind, extra=QTable({"mag": mag, "word": np.full(len(sky), "a")}))
 
 
 @pytest.fixture(scope="module")
@@ -81,8 +80,7 @@ def test_targets_outside_the_limits_have_no_fiber(sky, small, missing, allocator
 
 
 def test_limits_without_a_kind_concern_all_targets_except_sky_positions(sky, small):
-    rules = ["magnitude mag 12 inf '' '' refused", "sky=5", "standard=5"]
-    tile = plan(sky, small, rules)
+    tile = plan(sky, small, ["magnitude mag 12 inf '' '' refused", "sky=5", "standard=5"])
     has, mag = with_fiber(tile, sky), sky.extra["mag"]
     assert (has & (sky.kind == "sky")).sum() >= 5
     assert (mag[has & (sky.kind != "sky")] > 12).all()
@@ -248,8 +246,7 @@ def test_rules_of_a_tile_are_kept_in_files(sky, small, tmp_path):
     assert any(text.startswith("distribution sky 2 99.9 3.0 ''") for text in tile.summary["unmet"])
     for name in ("tile.fits", "tile.ecsv"):
         tile.write(tmp_path / name)
-        read = rs.Tile.read(tmp_path / name)
-        assert read.rules.pformat() == tile.rules.pformat()
+        assert rs.Tile.read(tmp_path / name).rules.pformat() == tile.rules.pformat()
     violating = tile.rules["fibers"][2].split()
     assert set(violating) <= set(tile.table["id"].astype(str))
     assert len(violating) == round((1 - tile.rules["number"][2] / 100) * (tile.table["kind"] == "science").sum())
@@ -287,8 +284,7 @@ def test_targets_without_a_fiber_type_follow_the_rules_of_the_fiber_that_they_ge
     """The preset gives them a BOSS fiber; whether rules use positions on the focal plane makes no difference."""
     apo = rs.Instrument.preset("sdss_apo")
     sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=300, rng=1)
-    extra = QTable({"h": np.random.default_rng(2).uniform(5, 15, len(sky))})
-    sky = rs.Catalog(sky.coord, extra=extra)
+    sky = rs.Catalog(sky.coord, extra=QTable({"h": np.random.default_rng(2).uniform(5, 15, len(sky))}))
     for fiber, least in (("BOSS", 10), ("APOGEE", 0)):
         allocator = rs.AllocationOptions("repair", constraints=[f"magnitude h 10 inf science {fiber}", *others])
         mags = rs.plan_tile(sky, apo, CENTER, allocator=allocator).table["h"]
@@ -380,8 +376,7 @@ def test_limits_of_a_role_take_only_this_role_from_a_science_target(sky, small, 
     table = tile.table[tile.table["status"] == "assigned"]
     rows, kinds = np.asarray(table["target_id"]), np.asarray(table["kind"]).astype(str)
     fits = ~((mag <= 9.5) | (mag >= 14)) | np.isin(mag, MISSING[1:])  # targets without a magnitude have no limits
-    expected = np.where(fits, kind, np.char.replace(kind, "+standard", ""))
-    assert kinds.tolist() == expected[rows].tolist()
+    assert kinds.tolist() == np.where(fits, kind, np.char.replace(kind, "+standard", ""))[rows].tolist()
     assert not ((kind == "standard") & ~fits)[rows].any()
     assert (kinds != kind[rows]).any()  # some science targets are too faint or too bright as standards
     n = int(np.sum(np.char.find(kinds, "standard") >= 0))

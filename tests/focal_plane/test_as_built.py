@@ -53,8 +53,7 @@ def by_hand(plane, theta, phi, name):
     """Return the elbows, and the positions of given points of the arms, computed with complex numbers."""
     zero = np.deg2rad(plane.zero_points.value)
     a = np.deg2rad(theta) + zero[:, 0]
-    center = plane.xy.value[:, 0] + 1j * plane.xy.value[:, 1]
-    elbow = center + plane.central_arm.value * np.exp(1j * a)
+    elbow = (plane.xy.value[:, 0] + 1j * plane.xy.value[:, 1]) + plane.central_arm.value * np.exp(1j * a)
     place = plane.fiber_xy[name].value if isinstance(name, str) else np.broadcast_to(name, (len(plane), 2))
     return elbow, elbow + (place[:, 0] + 1j * place[:, 1]) * np.exp(1j * (a + np.deg2rad(phi) + zero[:, 1]))
 
@@ -326,8 +325,7 @@ def test_idle_arms_do_not_depend_on_the_fiber_type_that_is_named():
     plane = random_plane(stuck=angles)
     nowhere = np.full((60, 2), np.nan) * MM
     for name in ("A", "B"):
-        report = rs.find_collisions(plane, nowhere, fiber_type=np.full(60, name))
-        assert len(report.pairs) == 0
+        assert len(rs.find_collisions(plane, nowhere, fiber_type=np.full(60, name)).pairs) == 0
         posed = place_arms(plane, nowhere, fiber_type=np.full(60, name))
         _, end = by_hand(plane, *np.full((2, 60), [[20.0], [80.0]]), [14.7, 0.0])
         np.testing.assert_allclose(posed.segments[7, 2:], [end[7].real, end[7].imag], atol=1e-9)

@@ -33,8 +33,7 @@ def test_multiplicity_counts_annuli():
 
 
 def test_units_out_of_use_reach_nothing():
-    design = replace(plane(), disabled=np.ones(19, bool))
-    assert design.coverage(n_points=1000).tolist() == [1.0]
+    assert replace(plane(), disabled=np.ones(19, bool)).coverage(n_points=1000).tolist() == [1.0]
 
 
 def test_footprint_is_the_hexagon_of_centers():

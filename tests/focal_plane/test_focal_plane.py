@@ -39,8 +39,7 @@ def test_rings(rings):
 
 def test_count_takes_the_nearest_cells():
     plane = rs.FocalPlane.hexagonal(robot(), count=4000, pitch=25.6 * MM)
-    everything = rs.FocalPlane.hexagonal(robot(), rings=50, pitch=25.6 * MM)
-    r = np.sort(np.hypot(*everything.xy.value.T))
+    r = np.sort(np.hypot(*rs.FocalPlane.hexagonal(robot(), rings=50, pitch=25.6 * MM).xy.value.T))
     assert len(plane) == 4000
     np.testing.assert_allclose(np.sort(np.hypot(*plane.xy.value.T)), r[:4000])
     assert r[3999] < 848.7 + 0.1
@@ -113,8 +112,7 @@ def test_edges_of_the_patrol_area_belong_to_it():
     inside = [[22.4, 0], [0, -22.4], [100, 7.6], [92.4, 0]]
     outside = [[np.nextafter(22.4, 23), 0], [0, np.nextafter(7.6, 0)]]
     got = plane.reachable((inside + outside) * MM).toarray()
-    expected = brute_force(plane, np.array(inside + outside, dtype=float))
-    np.testing.assert_array_equal(got, expected)
+    np.testing.assert_array_equal(got, brute_force(plane, np.array(inside + outside, dtype=float)))
     assert not got[:, -2:].any()
 
 

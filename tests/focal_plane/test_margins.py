@@ -34,8 +34,7 @@ def scene(robot, **columns):
     stuck[0] = 40, 65
     disabled = np.arange(n) == 1
     plane = rs.FocalPlane(pitch * np.array(HEXAGON) * u.mm, robot, disabled=disabled, stuck=stuck * u.deg, **columns)
-    points = np.random.default_rng(5).uniform(-1, 1, (400, 2)) * 2 * pitch
-    return plane, points
+    return plane, (np.random.default_rng(5).uniform(-1, 1, (400, 2)) * 2 * pitch)
 
 
 def pairs_of(plane, points, fiber_type=None):
@@ -144,8 +143,7 @@ def test_planned_arms_keep_away_from_broken_arms(robot, handedness):
         if max(gaps) > limit:
             expected.add((i, k))
     assert borderline == 0
-    margined = replace(plane, margins=rs.Margins(broken=0.4 * u.mm))
-    assert pairs_of(margined, points, types) == expected
+    assert pairs_of(replace(plane, margins=rs.Margins(broken=0.4 * u.mm)), points, types) == expected
     assert 0 < len(expected) < len(everywhere)
 
 
@@ -227,8 +225,7 @@ def test_blank_sky_keeps_the_margins_and_avoids_hidden_circles():
         assert r.max() <= 6 - margins.outer.value
         assert np.hypot(*(tips - (9, 3)).T).min() > 5
         if margins:
-            away = [np.hypot(*(tips - plane.xy[k].value).T).min() for k in (0, 1)]
-            assert min(away) > 0.7 * 6
+            assert min([np.hypot(*(tips - plane.xy[k].value).T).min() for k in (0, 1)]) > 0.7 * 6
             limit = EQUAL.min_separation.value + 0.5
             assert all(gaps_to_broken(plane, i, p) > limit for i, p in zip(own, tips, strict=True))
 

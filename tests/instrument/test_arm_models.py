@@ -57,8 +57,7 @@ def colliding_polygons(centers, theta, phi, n):
         c, s = np.cos(theta[k]), np.sin(theta[k])
         d, t = np.cos(theta[k] + phi[k]), np.sin(theta[k] + phi[k])
         move = shapely.affinity.affine_transform
-        arm = move(shapes[0], [d, -t, t, d, x + 3 * c, y + 3 * s])
-        return arm, move(shapes[1], [c, -s, s, c, x, y])
+        return move(shapes[0], [d, -t, t, d, x + 3 * c, y + 3 * s]), move(shapes[1], [c, -s, s, c, x, y])
 
     near = shapely.STRtree(shapely.points(centers)).query(shapely.points(centers), "dwithin", distance=16)
     found, parts = set(), {}
@@ -139,8 +138,7 @@ def test_collisions_with_the_outline_of_desi_are_those_of_the_polygons(presets):
     rng = np.random.default_rng(1)
     n = len(plane)
     theta, phi = rng.uniform(-np.pi, np.pi, n), rng.uniform(0, np.pi, n)
-    tips = plane.xy + plane.positioner.forward(theta * u.rad, phi * u.rad)
-    report = rs.find_collisions(plane, tips)
+    report = rs.find_collisions(plane, plane.xy + plane.positioner.forward(theta * u.rad, phi * u.rad))
     found = colliding_polygons(plane.xy.to_value(u.mm), theta, phi, 600)
     own = {pair for pair in map(tuple, report.pairs.tolist()) if max(pair) < 600}
     assert found <= own
@@ -173,8 +171,7 @@ def test_from_desi_mirrors_the_polygons_of_most_positioners(tmp_path, closed):
 @partial
 def test_from_desi_without_exclusions_has_the_mirrored_outline_of_the_preset(tmp_path):
     desi_files.metrology(tmp_path / "fp.csv", per_petal=20)
-    desi = rs.Instrument.from_desi(tmp_path / "fp.csv")
-    assert_legacy(desi.focal_plane.positioner.outline, sign=-1)
+    assert_legacy(rs.Instrument.from_desi(tmp_path / "fp.csv").focal_plane.positioner.outline, sign=-1)
 
 
 @partial

@@ -60,8 +60,7 @@ def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
     desi_files.metrology(tmp_path / "fp.csv", others=False)
     built, nominal = rs.Instrument.from_desi(tmp_path / "fp.csv").focal_plane, presets["desi"].focal_plane
     order = np.argsort(nominal.spectrograph, kind="stable")
-    rng = np.random.default_rng(3)
-    points = rng.uniform(-4, 4, (5000, 2)) * u.mm
+    points = np.random.default_rng(3).uniform(-4, 4, (5000, 2)) * u.mm
     theta, phi = nominal.positioner.inverse(points)
     other, folded = built.positioner.inverse(points * [-1, 1])
     assert_allclose(np.cos((theta + other).to_value(u.rad)), -1, atol=1e-9)
@@ -473,6 +472,5 @@ def test_damaged_files_are_refused_with_a_sentence(folder, tmp_path, seed):
 
 def test_a_folder_with_a_metrology_or_without_an_instrument(tmp_path):
     refused(r"must contain positionerTable.csv .* got none of them", rs.Instrument.read, tmp_path)
-    path = tmp_path / "fp-metrology.csv"
-    path.write_text("PETAL_LOC,DEVICE_LOC,DEVICE_TYPE,X_FP,Y_FP,LOCATION\n")
+    (tmp_path / "fp-metrology.csv").write_text("PETAL_LOC,DEVICE_LOC,DEVICE_TYPE,X_FP,Y_FP,LOCATION\n")
     refused("fp-metrology.csv", rs.Instrument.read, tmp_path)

@@ -75,8 +75,7 @@ def test_geometry(presets, name, inner, outer, separation, pitch):
     assert unit.outer_radius.value == pytest.approx(outer, abs=5e-5)
     assert unit.min_separation.value == pytest.approx(separation, abs=5e-5)
     xy = plane.xy.value
-    d = np.hypot(*(xy[0] - xy[1:]).T)
-    assert d.min() == pytest.approx(pitch)
+    assert np.hypot(*(xy[0] - xy[1:]).T).min() == pytest.approx(pitch)
 
 
 def test_lamost_lies_within_its_focal_plate(presets):
@@ -95,8 +94,7 @@ def test_lamost_lies_within_its_focal_plate(presets):
 def test_desi_and_pfs_layouts(presets):
     desi, pfs = presets["desi"].focal_plane, presets["pfs"].focal_plane
     assert set(np.unique(desi.spectrograph, return_counts=True)[1]) == {500}
-    r = np.hypot(*desi.xy.value.T)
-    assert r.min() >= 28.6
+    assert np.hypot(*desi.xy.value.T).min() >= 28.6
     x, y = pfs.xy.value.T
     assert (x.min(), x.max()) == pytest.approx((-193.99, 193.99), abs=0.01)
     assert (y.min(), y.max()) == pytest.approx((-220.0, 224.0))
@@ -214,8 +212,7 @@ def test_the_description_in_the_documentation_works(tmp_path):
     block = page.split(".. code-block:: toml\n")[1].split("\n``rfpsurvey plan")[0]
     path = tmp_path / "mine.toml"
     path.write_text(textwrap.dedent(block))
-    mine = rs.Instrument.read(path)
-    assert len(mine.focal_plane) == 469
+    assert len(rs.Instrument.read(path).focal_plane) == 469
     (tmp_path / "wider.toml").write_text('inherits = "mine"\nname = "wider"\n[layout]\nrings.value = 2\n')
     refused("layout.rings must have a status, got only value", rs.Instrument.read, tmp_path / "wider.toml")
     rings = 'rings = { value = 2, status = "assumed", source = "a smaller one" }\n'
@@ -239,8 +236,7 @@ def test_what_tiles_of_each_preset_must_hold(presets):
         "pfs": ("sky=240", "standard=40"),
     }
     for name, texts in expected.items():
-        instrument = presets[name]
-        assert instrument.requirements == texts
+        assert presets[name].requirements == texts
         assert tuple(str(rs.Requirement.parse(text)) for text in texts) == texts
 
 
@@ -259,8 +255,7 @@ def test_copies_for_other_processes_leave_out_what_is_computed():
     tile = rs.plan_tile(sky, desi, center)
     assert "arrays" in vars(sky)
     assert "arrays" in vars(desi.focal_plane)
-    after = [len(pickle.dumps(one)) for one in (desi, sky)]
-    np.testing.assert_allclose(after, sizes, atol=200)
+    np.testing.assert_allclose([len(pickle.dumps(one)) for one in (desi, sky)], sizes, atol=200)
     desi, sky = (pickle.loads(pickle.dumps(one)) for one in (desi, sky))
     again = rs.plan_tile(sky, desi, center)
     assert again.provenance["instrument"] == tile.provenance["instrument"]

@@ -23,8 +23,7 @@ def small(name):
     """Return an instrument with the positioners of a preset that are nearest to the axis."""
     model = rs.Instrument.preset(name)
     xy = model.focal_plane.xy.value
-    near = np.argsort(np.hypot(*xy.T))[:60]
-    plane = rs.FocalPlane(xy[near] * u.mm, model.focal_plane.positioner)
+    plane = rs.FocalPlane(xy[np.argsort(np.hypot(*xy.T))[:60]] * u.mm, model.focal_plane.positioner)
     return replace(model, focal_plane=plane, plate_scale=None)
 
 

@@ -76,8 +76,7 @@ def test_files_in_the_folders_of_the_repository_are_found(folder, tmp_path):
 
 
 def test_a_compressed_file_of_dots_is_read(folder, tmp_path):
-    path = tmp_path / f"{DOTS}.gz"
-    path.write_bytes(gzip.compress((folder / DOTS).read_bytes()))
+    (tmp_path / f"{DOTS}.gz").write_bytes(gzip.compress((folder / DOTS).read_bytes()))
     assert len(rs.Instrument.read(tmp_path).focal_plane) == 2394
 
 
@@ -302,8 +301,7 @@ def tag(name, value, row=10):
     """Return a function that replaces one value of a calibration model."""
 
     def change(text):
-        places = [match.span(1) for match in re.finditer(f"<{name}>([^<]*)</{name}>", text)]
-        begin, end = places[row]
+        begin, end = [match.span(1) for match in re.finditer(f"<{name}>([^<]*)</{name}>", text)][row]
         return text[:begin] + value + text[end:]
 
     return change

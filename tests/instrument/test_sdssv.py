@@ -367,13 +367,11 @@ def test_positions_of_real_configurations_follow_from_their_joint_angles(
     plan = rs.plans.read_plan(real_data(f"{folder}/{file}.par.gz"))
     for fiber in ("BOSS", "APOGEE", "METROLOGY"):
         xy, theta, phi = positions_and_angles(plane, plan, fiber)
-        got = plane.forward(theta, phi, fiber).value
-        apart = np.hypot(*(got - xy).T)
+        apart = np.hypot(*(plane.forward(theta, phi, fiber).value - xy).T)
         compared = np.isfinite(apart)
         lacks = {"R+8C7"} if folder == "sdssv_apo_2021" and fiber == "BOSS" else set()
         assert compared.sum() == n - len(lacks)
-        without = set(plane.id[~compared].tolist())
-        assert without == (NO_ANGLES if n == 490 else lacks)
+        assert set(plane.id[~compared].tolist()) == (NO_ANGLES if n == 490 else lacks)
         assert apart[compared].max() < within
         # the joint angles of the positions reproduce the positions to the precision of the file
         again = plane.forward(*plane.inverse(xy * u.mm, fiber), fiber).value
@@ -434,8 +432,7 @@ def test_the_nominal_preset_misses_the_fibers_by_a_quarter_of_a_millimeter(real_
     )
     plan = rs.plans.read_plan(real_data("sdssv_apo_2024/confSummary-test.par.gz"))
     xy, theta, phi = positions_and_angles(built, plan, "BOSS")
-    apart = np.hypot(*(plane.forward(theta, phi).value - xy).T)
-    assert 0.24 < np.nanmedian(apart) < 0.28
+    assert 0.24 < np.nanmedian(np.hypot(*(plane.forward(theta, phi).value - xy).T)) < 0.28
 
 
 def test_a_real_calibration_survives_missing_files(real_data, tmp_path):

@@ -60,8 +60,7 @@ def test_the_time_selects_the_states(small, file, time, disabled, poses):
     assert states_of(worn) == (disabled, poses)
     n = len(disabled) + len(poses)
     assert worn.facts()["usable_positioners"] == len(small.focal_plane) - n
-    text = f"{len(disabled)} broken, {len(poses)} stuck."
-    assert text in worn.notes
+    assert f"{len(disabled)} broken, {len(poses)} stuck." in worn.notes
     assert ("do not apply" in worn.notes) == (n < 3)
     assert summary_of(worn)[2:] == [len(disabled), len(poses), 0, 3 - n]
     assert states_of(small) == ([], {})
@@ -129,8 +128,7 @@ def test_a_broken_arm_is_an_obstacle_in_its_pose(small):
     tips[:] = np.nan
     tips[i] = plane.xy[i] - 12 * u.mm * towards / np.hypot(*towards)
     for pose, n in (([angle, 0], 1), ([np.nan, np.nan], 0)):
-        table = Table({"id": [j], "theta": pose[:1], "phi": pose[1:]})
-        worn = small.with_states(table).focal_plane
+        worn = small.with_states(Table({"id": [j], "theta": pose[:1], "phi": pose[1:]})).focal_plane
         assert worn.disabled[j]
         assert not worn.arrays.usable[j]
         assert len(rs.find_collisions(worn, tips, parked_obstacles=False).pairs) == n
@@ -149,8 +147,7 @@ def test_only_fibers_that_are_not_broken_observe_blank_sky(small):
     center = SkyCoord("12h +30d")
     edge = small.focal_plane.xy[-1:] + [[5, 5]] * u.mm  # far from positioners 4 and 9
     target = small.projection(center).to_sky(edge)
-    pose = {"theta": [10, 10], "phi": [60, 60]}
-    table = Table({"id": [4, 9], "state": ["broken", "stuck"], **pose})
+    table = Table({"id": [4, 9], "state": ["broken", "stuck"], **{"theta": [10, 10], "phi": [60, 60]}})
     options = rs.AllocationOptions("lamost_rule", requirements="sky=10", sky_separation=5 * u.arcsec)
     tile = rs.plan_tile(target, small.with_states(table), center, allocator=options)
     kinds = dict(zip(tile.table["id"].tolist(), tile.table["kind"].tolist(), strict=True))
@@ -159,8 +156,7 @@ def test_only_fibers_that_are_not_broken_observe_blank_sky(small):
 
 def test_a_second_table_replaces_states(small, file):
     first = small.with_states(file, time="2026-02-01")
-    table = Table({"id": [3, 5, 8], "state": ["ok", "broken", "Restored"]})
-    second = first.with_states(table)
+    second = first.with_states(Table({"id": [3, 5, 8], "state": ["ok", "broken", "Restored"]}))
     assert states_of(second) == ([5], {})
     assert summary_of(second) == ["broken.csv", "2026-02-01T00:00:00", 2, 1, 0, 0]
     assert summary_of(second, "states_2") == ["a table", None, 1, 0, 2, 0]
@@ -213,8 +209,7 @@ def test_dates_require_a_time(small, file):
 
 
 def test_several_times_must_give_the_same_states(small, file):
-    times = Time(["2026-01-05", "2026-01-10"])
-    worn = small.with_states(file, time=times)
+    worn = small.with_states(file, time=Time(["2026-01-05", "2026-01-10"]))
     assert states_of(worn) == ([3], {5: (30, 100)})
     assert summary_of(worn)[1] == "2026-01-05T00:00:00 to 2026-01-10T00:00:00"
     for last in ("2026-02-01", "2026-03-01T12:00:00"):

@@ -25,8 +25,7 @@ def offline():
 
 def images_by_astropy(conditions, basis, vectors, times):
     """Return images as complex numbers, shape (times, n), from AltAz; a fit gives the mean rotation of the field."""
-    turn = 2 * np.pi * np.arange(12) / 12
-    ring = 1e-4 * np.exp(1j * turn)
+    ring = 1e-4 * np.exp(1j * (2 * np.pi * np.arange(12) / 12))
     around = basis[2] + ring.real[:, None] * basis[0] + ring.imag[:, None] * basis[1]
 
     def observed(directions, wavelength):

@@ -225,8 +225,7 @@ def test_targets_that_refraction_brings_into_the_field_are_planned(presets):
     assert 5 * u.deg < plane.altitude - instrument.field_radius < 25 * u.deg
     arrays = instrument.focal_plane.arrays
     distance = np.maximum(np.hypot(*arrays.xy.T), 1.0)
-    outward = arrays.xy * (1 + arrays.outer_radius / distance * (1 - 1e-7))[:, None]
-    coord = plane.to_sky(outward * u.mm)
+    coord = plane.to_sky((arrays.xy * (1 + arrays.outer_radius / distance * (1 - 1e-7))[:, None]) * u.mm)
     apart = coord.separation(CENTER)
     assert (apart > instrument.field_radius).sum() > 10
     tile = rs.plan_tile(rs.Catalog(coord[apart > instrument.field_radius]), instrument, CENTER, conditions=conditions)

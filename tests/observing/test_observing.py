@@ -121,8 +121,7 @@ def test_refraction_at_an_hour_angle_is_that_of_spherical_trigonometry(hour, dec
         return np.cos(shift) * vectors + np.sin(shift) * up
 
     seen, middle = raised(targets), raised(basis[2:])[0]
-    xy = ObservedField(basis, 1.0, None, conditions).project(targets)
-    ours = np.arctan(np.hypot(*xy.T))
+    ours = np.arctan(np.hypot(*ObservedField(basis, 1.0, None, conditions).project(targets).T))
     np.testing.assert_allclose(ours, np.arccos(seen @ middle), rtol=0, atol=MAS)
 
 
@@ -142,10 +141,8 @@ def test_refraction_is_that_of_a_ray_trace(distance, refraction, error):
         temperature=280.15 * u.K,
         humidity=0.8,
     )
-    dec = site.lat.rad - true
-    field = ObservedField(field_basis(1.0, dec, 0.0), 1.0, None, conditions)
-    seen = np.rad2deg(np.arccos(field.frames[0][2, 2]))
-    assert abs(seen - distance) < error / 3600
+    field = ObservedField(field_basis(1.0, site.lat.rad - true, 0.0), 1.0, None, conditions)
+    assert abs(np.rad2deg(np.arccos(field.frames[0][2, 2])) - distance) < error / 3600
 
 
 def test_without_air_the_projection_is_the_static_one(presets):
@@ -288,8 +285,7 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
     )
     center = SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
     for kind, n, bound in (("BOSS", 483, 0.003), ("APOGEE", 7, 0.01)):
-        rows = (np.asarray(plan["fiber_type"]) == kind) & (np.asarray(plan["on_target"]) == 1)
-        part = plan[rows]
+        part = plan[((np.asarray(plan["fiber_type"]) == kind) & (np.asarray(plan["on_target"]) == 1))]
         assert len(part) == n
         targets = SkyCoord(part["ra_fiber"], part["dec_fiber"], unit="deg")
         wok = np.column_stack([part["x"].to_value("mm"), part["y"].to_value("mm")])
@@ -377,8 +373,7 @@ def test_targets_below_the_horizon_have_no_image():
 def test_times_outside_the_installed_tables_are_errors(presets, year):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        time = Time(f"{year}-01-01", scale="tai")
-        conditions = rs.ObservingConditions("paranal", time=time)
+        conditions = rs.ObservingConditions("paranal", time=Time(f"{year}-01-01", scale="tai"))
     with pytest.raises(rs.InputError, match="installed tables of the Earth's rotation cover, got .* give hour_angle"):
         presets["moons"].projection(SkyCoord("14h +20d"), conditions=conditions)
 
@@ -458,8 +453,7 @@ def test_conditions_at_other_times():
     still = at_angle.without_exposure
     assert still.exposure_time == 0 * u.s
     assert {**still.record, "exposure_time_s": 600.0} == at_angle.record
-    green = at_time.at_guide_wavelength
-    assert green.wavelength == at_time.guide_wavelength != at_time.wavelength
+    assert at_time.at_guide_wavelength.wavelength == at_time.guide_wavelength != at_time.wavelength
 
 
 def test_files_without_a_site_are_refused(tmp_path):

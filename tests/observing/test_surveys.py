@@ -56,8 +56,7 @@ def test_each_tile_has_the_conditions_of_its_row(sky, presets):
 def test_hour_angles_have_several_units(sky, presets):
     one = rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=HOURS))
     for column in (np.array(HOURS) * u.hourangle, np.array(HOURS) * 15 * u.deg, np.array(HOURS) * u.hour):
-        other = rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=column))
-        assert same_visits(one, other)
+        assert same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=column)))
 
 
 def test_times_are_times_or_text(sky, presets):
@@ -119,11 +118,9 @@ def test_conditions_are_in_the_files_and_in_the_identity(sky, presets, tmp_path)
     tiling = tiling_with(hour_angle=HOURS)
     for suffix in ("fits", "ecsv"):
         tiling.write(tmp_path / f"tiles.{suffix}")
-        read = rs.Tiling.read(tmp_path / f"tiles.{suffix}")
-        assert read.conditions.record == CONDITIONS.record
+        assert rs.Tiling.read(tmp_path / f"tiles.{suffix}").conditions.record == CONDITIONS.record
     rs.plan_survey(sky, presets["moons"], tiling, folder=tmp_path / "plan")
-    kept = rs.plan_survey(sky, presets["moons"], tiling, folder=tmp_path / "plan", resume=True)
-    assert len(kept) == 3
+    assert len(rs.plan_survey(sky, presets["moons"], tiling, folder=tmp_path / "plan", resume=True)) == 3
     for other in (tiling_with(hour_angle=[-3.0, 0.5, 3.9]), tiling.with_conditions(None)):
         with pytest.raises(rs.InputError, match="another"):
             rs.plan_survey(sky, presets["moons"], other, folder=tmp_path / "plan", resume=True)

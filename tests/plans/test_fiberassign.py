@@ -219,8 +219,7 @@ def test_columns_with_the_names_of_common_columns_are_kept(tmp_path):
     assert plan["assigned_in_file"][0] == "text"
     plan["assigned"][plan["assigned"]] = False
     plans.write_plan(plan, tmp_path / "b.fits")
-    again = plans.read_plan(tmp_path / "b.fits")
-    assert not again["assigned"].any()
+    assert not plans.read_plan(tmp_path / "b.fits")["assigned"].any()
     with fits.open(tmp_path / "a.fits") as one, fits.open(tmp_path / "b.fits") as two:
         assert one["FIBERASSIGN"].columns.names == two["FIBERASSIGN"].columns.names
         assert one["FIBERASSIGN"].columns.formats == two["FIBERASSIGN"].columns.formats
@@ -251,8 +250,7 @@ def test_rows_of_different_lengths_and_their_texts(path, tmp_path):
 def test_the_other_tables_are_lost_in_other_formats(path, tmp_path):
     plan = plans.read_plan(path)
     warned("without the other tables of the file", plans.write_plan, plan, tmp_path / "plan.ecsv")
-    again = plans.read_plan(tmp_path / "plan.ecsv")
-    assert_array_equal(plan["x"], again["x"])
+    assert_array_equal(plan["x"], plans.read_plan(tmp_path / "plan.ecsv")["x"])
     assert "extensions" in plan.meta
 
 

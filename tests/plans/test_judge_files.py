@@ -84,8 +84,7 @@ def test_fibers_of_a_file_of_fiberassign_are_read(tmp_path):
 def test_plain_tables_and_tables_of_rfpsurvey_are_read(name, tmp_path):
     path = tmp_path / name
     Table({"id": [1, 2, 3], "target_id": [7, -1, 9], "handedness": ["left", "", "right"]}).write(path)
-    plan = plan_files.read_plan(path, None)
-    assert [tuple(one) for one in plan] == [(1, 7, "left"), (3, 9, "right")]
+    assert [tuple(one) for one in plan_files.read_plan(path, None)] == [(1, 7, "left"), (3, 9, "right")]
     Table({"a": [1]}).write(path, overwrite=True)
     with pytest.raises(ValueError, match="must have the columns positioner and target, got a"):
         plan_files.read_plan(path, None)
@@ -104,8 +103,7 @@ def test_the_recorded_plan_of_a_field_of_sdssv_observes_492_of_its_494_targets(r
     """One target is out of reach of the nominal arms, and one arm is too close to the nominal place of a fiducial."""
     real_data("sdssv_robostrategy_field_a.ecsv")
     scene = scenes.SCENES["field_a"]()
-    plan = Table(rows=scene.settings["recorded"], names=("positioner", "target"))
-    found = judged(scene, plan)
+    found = judged(scene, Table(rows=scene.settings["recorded"], names=("positioner", "target")))
     assert found["assigned"] == 494
     assert found["standard"] + found["sky"] == 492
     assert found["colliding"] == 1

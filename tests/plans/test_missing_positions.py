@@ -73,8 +73,7 @@ def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch
     assert tile.summary["n_skipped"] == n
     assert tile.summary["n_targets"] == plan["assigned"].sum() - n
     assert tile.summary["n_rows_ignored"] == (~plan["assigned"]).sum()
-    skipped = [int(number) - 1 for number in where.split(" ", 1)[1].split(", ")]
-    plan["assigned"][skipped] = False
+    plan["assigned"][[int(number) - 1 for number in where.split(" ", 1)[1].split(", ")]] = False
     alone = rs.score_tile(plan, instrument, positions=positions)
     for column in ("id", "status", "target_id", "in_collision", "theta", "ra"):
         assert_array_equal(tile.table[column], alone.table[column])

@@ -119,8 +119,7 @@ def test_a_column_with_an_unknown_unit_is_refused(tmp_path, tile):
 
 def test_private_entries_of_a_plan_that_are_damaged_are_refused_when_it_is_written(tmp_path):
     plan = plans.read_plan(write_design(tmp_path / "d.fits"))
-    formats = plan.meta["formats"]
-    plan.meta["formats"] = formats[1:]
+    plan.meta["formats"] = plan.meta["formats"][1:]
     with pytest.raises(rs.InputError, match="formats in the meta of the plan must have 'fiberId', got tract"):
         plans.write_plan(plan, tmp_path / "e.fits", format="pfsdesign")
     plan.meta["formats"] = [1, 2]

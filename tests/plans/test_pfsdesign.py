@@ -126,8 +126,7 @@ def test_newer_columns_are_used(tmp_path):
         "pmDec": np.full(n, -2.5, "f4"),
         "obCode": np.array([f"ob{k}" for k in range(n)]),
     }
-    path = write_design(tmp_path / "d.fits", design(**more))
-    plan = rs.plans.read_plan(path)
+    plan = rs.plans.read_plan(write_design(tmp_path / "d.fits", design(**more)))
     assert plan["positioner"][:2].tolist() == [60, 59]
     assert plan["positioner"][-1] == -1
     assert plan["pm_ra"][0] == 1.5 * u.mas / u.yr
@@ -165,8 +164,7 @@ def test_a_design_with_an_epoch_as_text_is_a_catalog(presets, tmp_path):
     assert own.id.tolist() == catalog.id.tolist()
     assert set(catalog.kind.tolist()) == {"science", "sky", "standard"}
     np.testing.assert_allclose(own.epoch.jyear, 2016)
-    center = SkyCoord(150 * u.deg, -2 * u.deg)
-    tile = rs.plan_tile(catalog, presets["pfs"], center, epoch=2016.0)
+    tile = rs.plan_tile(catalog, presets["pfs"], SkyCoord(150 * u.deg, -2 * u.deg), epoch=2016.0)
     assert tile.summary["n_assigned"] > 10
 
 
@@ -187,8 +185,7 @@ def test_a_tile_becomes_a_design_with_the_same_assignment_and_collisions(presets
     for name in ("n_assigned", "n_colliding", "n_out_of_reach", "n_colliding_pairs"):
         assert again.summary[name] == tile.summary.get(name, 0)
     one = {row["id"]: row["target_id"] for row in tile.table if row["status"] == "assigned"}
-    two = {row["id"]: row["target_id"] for row in again.table if row["status"] == "assigned"}
-    assert one == two
+    assert one == {row["id"]: row["target_id"] for row in again.table if row["status"] == "assigned"}
 
 
 def test_the_frame_of_the_plan_is_that_of_the_sky(real_data, presets):

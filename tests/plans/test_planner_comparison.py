@@ -62,8 +62,7 @@ def test_results_have_all_columns_and_each_scene_and_program_once():
     assert set(table["scene"]) == set(scenes.SCENES)
     assert len({(one["scene"], one["program"]) for one in table}) == len(table)
     assert (FOLDER / "results.ecsv").stat().st_size < 30_000
-    classes = [sum(map(int, one["by_class"].split())) for one in table]
-    assert classes == table["science"].tolist()
+    assert [sum(map(int, one["by_class"].split())) for one in table] == table["science"].tolist()
     assert (table["science_without_idle"] >= table["science"]).all()
     for one in table:
         assert all(one[name] for name in ("machine", "date", "limit")), one["program"]
@@ -149,8 +148,7 @@ RANGES = {
 def test_the_table_of_packages_states_the_range_of_the_results(name):
     """If results change, the rows of both tables must be written again."""
     lines = (ROOT / name).read_text().splitlines()
-    table = results.read(FOLDER / "results.ecsv")
-    every = {(one["scene"], one["program"]): one for one in table}
+    every = {(one["scene"], one["program"]): one for one in results.read(FOLDER / "results.ecsv")}
     for column, head, tolerance in (
         ("seconds", "Relative planning time", 0.06),
         ("science", "Relative number of", 5e-4),

@@ -36,8 +36,7 @@ def test_the_union_of_the_parts_is_the_polygon(seed):
 
 def test_a_convex_polygon_remains_one_part():
     angle = np.arange(12) * np.pi / 6
-    polygon = np.column_stack([np.cos(angle), np.sin(angle)]) * u.cm
-    (part,) = rs.positioner.divide_polygon(polygon)
+    (part,) = rs.positioner.divide_polygon(np.column_stack([np.cos(angle), np.sin(angle)]) * u.cm)
     assert part.unit == u.mm
     assert shapely.Polygon(part.value).area == pytest.approx(300)
 

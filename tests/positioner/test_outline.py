@@ -16,8 +16,7 @@ def vertices(part, **options):
 
 @pytest.mark.parametrize("order", [[0, 1, 2, 3], [3, 2, 1, 0], [2, 3, 0, 1], [0, 1, 2, 3, 0]])
 def test_polygons_become_counter_clockwise(order):
-    found = vertices(SQUARE[order])
-    np.testing.assert_array_equal(found, SQUARE)
+    np.testing.assert_array_equal(vertices(SQUARE[order]), SQUARE)
 
 
 def test_vertices_on_straight_edges_and_repeated_vertices_are_left_out():

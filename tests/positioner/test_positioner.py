@@ -62,8 +62,7 @@ def test_left_is_the_mirror_image_of_right():
 
 
 def test_joint_limits_cut_the_patrol_area_and_both_hands_widen_it():
-    limited = robot(phi_range=[30, 180] * u.deg)
-    theta, phi = limited.inverse([[22.3, 0], [15, 0]] * MM)
+    theta, phi = robot(phi_range=[30, 180] * u.deg).inverse([[22.3, 0], [15, 0]] * MM)
     assert np.isnan(theta[0].value)
     assert phi[1].value >= 30
     quarter = {"theta_range": [-10, 100] * u.deg}

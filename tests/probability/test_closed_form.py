@@ -112,8 +112,7 @@ def test_the_printed_formula_has_no_area_for_equal_arms():
 
 
 def test_the_printed_formula_works_for_unequal_arms():
-    unit = rs.Positioner(4 * MM, 15 * MM, 2.5 * MM)
-    plane = rs.FocalPlane.hexagonal(unit, rings=2, pitch=22.4 * MM)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(4 * MM, 15 * MM, 2.5 * MM), rings=2, pitch=22.4 * MM)
     got = rs.collision_probability(plane, method="closed_form", variant="printed")
     np.testing.assert_allclose(got.per_positioner, closed_form(plane, "printed"), rtol=2e-5)
     assert got.value > 0
@@ -181,8 +180,7 @@ def test_formulas_have_no_error(method):
 @pytest.mark.parametrize("method", ["overlap_ratio", "closed_form", "close_pair"])
 def test_who_is_alone_collides_with_nobody(method):
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    alone = rs.FocalPlane([[3, 4]] * MM, unit)
-    assert rs.collision_probability(alone, method=method).value == 0
+    assert rs.collision_probability(rs.FocalPlane([[3, 4]] * MM, unit), method=method).value == 0
     if method != "close_pair":  # this method does not use the positions
         far = rs.FocalPlane([[0, 0], [2000, 0]] * MM, unit)
         assert rs.collision_probability(far, method=method).value == 0

@@ -21,8 +21,7 @@ from scenes import MM, lamost_like, sdss_like
 def stuck_in_the_middle():
     pose = np.full((19, 2), np.nan)
     pose[9] = [0, 20]
-    unit = sdss_like(2).positioner
-    return rs.FocalPlane.hexagonal(unit, rings=2, pitch=22.4 * MM, stuck=pose * u.deg)
+    return rs.FocalPlane.hexagonal(sdss_like(2).positioner, rings=2, pitch=22.4 * MM, stuck=pose * u.deg)
 
 
 @pytest.mark.exhaustive
@@ -43,8 +42,7 @@ def test_neighbors_of_an_immovable_unit_differ(rng):
     assert np.isnan(got.per_positioner[9])
     others = np.arange(m) != 9
     p = counts.per_positioner / n
-    error = np.sqrt(p * (1 - p) / n)
-    assert (np.abs(got.per_positioner - p) < 4.5 * error + 0.003)[others].all()
+    assert (np.abs(got.per_positioner - p) < 4.5 * np.sqrt(p * (1 - p) / n) + 0.003)[others].all()
     pairs = counts.n_pairs / 18
     assert abs(got.pairs_per_positioner - pairs.mean()) < 3 * pairs.std() / np.sqrt(n) + 0.001
 

@@ -57,8 +57,7 @@ def test_wilson_without_trials_and_with_endless_ones():
 
 def test_effective_trials_would_have_the_error():
     for p, error in ((0.1, 0.02), (0.5, 1e-3), (0.99, 0.1)):
-        n = effective_number(p, error, 7)
-        assert np.sqrt(p * (1 - p) / n) == pytest.approx(error)
+        assert np.sqrt(p * (1 - p) / effective_number(p, error, 7)) == pytest.approx(error)
     assert effective_number(0.3, 0.0, 7) == effective_number(0.0, 0.1, 7) == effective_number(1.0, 0.1, 7) == 7
 
 
@@ -109,8 +108,7 @@ def test_without_a_collision_every_iteration_is_a_trial():
 
 def test_with_nothing_but_collisions():
     """Two arms always collide, which is the opposite of a simulation without collisions."""
-    unit = rs.Positioner(8 * MM, 8 * MM, 30 * MM)
-    plane = rs.FocalPlane([[0, 0], [8, 0]] * MM, unit)
+    plane = rs.FocalPlane([[0, 0], [8, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 30 * MM))
     got = flat.collision_probability(plane, method="monte_carlo", n_targets=20, max_iterations=40)
     exact = stats.binomtest(40, 40).proportion_ci(method="wilson")
     assert got.value == pytest.approx(got.high) == 1
@@ -283,8 +281,7 @@ def test_the_precision_is_reached_and_not_much_more(method, plane, options, prec
 
 
 def test_the_precision_is_a_thousandth_by_default():
-    got = flat.collision_probability(sdss_like(2), n_targets=40)
-    assert 0.0006 < got.standard_error <= 0.001
+    assert 0.0006 < flat.collision_probability(sdss_like(2), n_targets=40).standard_error <= 0.001
 
 
 @pytest.mark.parametrize("n", [1, 2, 37, 64, 130])

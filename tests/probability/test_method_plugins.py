@@ -55,8 +55,7 @@ def test_allocated_targets_are_those_asked_for(small, rng):
     xy = rng.uniform(-70, 70, (60, 2)) * u.mm
 
     def count(question):
-        plan = question.realize(question.rng)
-        return {"value": rs.find_collisions(question.focal_plane, plan).rate}
+        return {"value": rs.find_collisions(question.focal_plane, question.realize(question.rng)).rate}
 
     count.estimand = "allocated"
     for parked in (True, False):

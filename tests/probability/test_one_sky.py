@@ -23,8 +23,7 @@ def dense(plane, *, ring):
     first, second = plane.neighbor_pairs().T
     everyone[first, second] = everyone[second, first] = 1
     design = np.column_stack([np.ones(n), everyone.sum(axis=1)])
-    nearest = apart[apart > 0].min()
-    adjacency = everyone * (apart < 1.1 * nearest) if ring else everyone
+    adjacency = everyone * (apart < 1.1 * apart[apart > 0].min()) if ring else everyone
     return adjacency, everyone - adjacency, np.eye(n) - design @ np.linalg.pinv(design)
 
 
@@ -96,8 +95,7 @@ def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     rng = np.random.default_rng(2)
     question = ProbabilityQuestion(plane, precision=precision, rng=rng)  # each realization is one sky
     found = [summarize([simulation.expect(1, rng)], question) for _ in range(n)]
-    held = sum(f["low"] <= truth <= f["high"] for f in found)
-    assert stats.binom.ppf(1e-3, n, 0.95) <= held
+    assert stats.binom.ppf(1e-3, n, 0.95) <= sum(f["low"] <= truth <= f["high"] for f in found)
     scatter = np.std([f["value"] for f in found])
     # four standard errors: 5 % for the scatter of 400 skewed values, 3 % for the root of the mean variance
     assert np.sqrt(np.mean([f["standard_error"] ** 2 for f in found])) == pytest.approx(scatter, rel=0.25)

@@ -158,8 +158,7 @@ def test_lamost_has_three_environments(presets):
     got = flat.collision_probability(plane, method="quadrature", max_iterations=64)
     assert got.meta["environments"] == 3
     # positioners at corners, at edges and inside have 3, 4 and 6 neighbors
-    pairs = plane.neighbor_pairs()
-    n_neighbors = np.bincount(pairs.ravel())
+    n_neighbors = np.bincount(plane.neighbor_pairs().ravel())
     groups = [set(got.per_positioner[n_neighbors == k]) for k in (3, 4, 6)]
     assert [len(g) for g in groups] == [1, 1, 1]
     assert len(set.union(*groups)) == 3
@@ -245,8 +244,7 @@ def test_queues_of_an_allocation_are_conditional_of_its_targets(plane, parked, r
 
 
 def test_queues_of_several_allocations_are_put_together(rng):
-    unit = sdss_like(1).positioner
-    plane = rs.FocalPlane([[0, 0], [22.4, 0], [11.2, 19.4], [33.6, 19.4]] * MM, unit)
+    plane = rs.FocalPlane([[0, 0], [22.4, 0], [11.2, 19.4], [33.6, 19.4]] * MM, sdss_like(1).positioner)
     skies = [rng.uniform(-10, 40, (n, 2)) for n in (4, 6, 1)]
     queues = [list(itertools.chain(*q)) for q in zip(*(queues_of(plane, xy) for xy in skies), strict=True)]
     allocations = [rs.allocate(plane, xy * MM, allocator="balanced") for xy in skies]

@@ -30,16 +30,14 @@ def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
 
 
 def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
-    unit = rs.Positioner(9 * MM, 14 * MM, 2 * MM)
-    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=27 * MM)
+    plane = rs.FocalPlane.hexagonal(rs.Positioner(9 * MM, 14 * MM, 2 * MM), rings=5, pitch=27 * MM)
     middle = np.hypot(*plane.xy.to_value("mm").T) < 2.1 * 27
     n, m = 3000, len(plane)
     r = np.sqrt(rng.uniform(5.0**2, 23.0**2, (n, m))) * (1 - 1e-12)
     alpha = rng.uniform(0, 2 * np.pi, (n, m))
     r = np.maximum(r, 5.0 + 1e-9)
     tips = plane.xy.to_value("mm") + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
-    counts = rs.collision.count_collisions(plane, tips * MM)
-    rate = counts.per_positioner[middle].mean() / n
+    rate = rs.collision.count_collisions(plane, tips * MM).per_positioner[middle].mean() / n
     error = 2 * np.sqrt(
         rate * (1 - rate) / (n * middle.sum())
     )  # neighbors share collisions, so that the variance is at most doubled
@@ -102,6 +100,5 @@ def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
 
 
 def test_environments_of_an_irregular_plane_are_all_different(rng):
-    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
-    plane = rs.FocalPlane(rng.uniform(-60, 60, (20, 2)) * MM, unit)
+    plane = rs.FocalPlane(rng.uniform(-60, 60, (20, 2)) * MM, rs.Positioner(8 * MM, 8 * MM, 2 * MM))
     assert len(environments(plane, 200.0)[0]) == 20

@@ -178,8 +178,7 @@ def test_a_catalog_is_projected_and_its_fiber_types_count(rng):
     got = rs.collision_probability(instrument, targets=catalog, center=CENTER)
     science = kind == "science"
     xy, types = tangent_plane_mm(coord[science], CENTER, 200, 0), types[science]
-    reach = plane.reachable(xy * MM, types).toarray()
-    queues = balanced_queues(xy, plane.xy.value, reach)
+    queues = balanced_queues(xy, plane.xy.value, plane.reachable(xy * MM, types).toarray())
     row = {tuple(p): t for p, t in zip(xy, types, strict=True)}
     used = [[row[p] for p in q] for q in queues]
     assert {t for q in used for t in q} == {"A", "B", ""}
@@ -212,8 +211,7 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
     values = []
     for wanted in (priority, np.zeros(25)):
         chosen = lamost_target(xy, plane.xy.value, reach, wanted)
-        queues = [[tuple(xy[t])] if t >= 0 else [] for t in chosen]
-        values.append(expectation(plane, queues)[2:])
+        values.append(expectation(plane, [[tuple(xy[t])] if t >= 0 else [] for t in chosen])[2:])
         catalog = rs.Catalog(coord, priority=wanted)
         for method in ("conditional", "monte_carlo"):
             got = flat.collision_probability(

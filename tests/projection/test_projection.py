@@ -133,8 +133,7 @@ def test_subnormal_coefficients_have_no_effect(tiny):
 
 def test_each_fiber_type_has_its_map():
     center = SkyCoord(10, 20, unit="deg")
-    maps = {"BOSS": MAPS["sine"], "APOGEE": MAPS["theta"]}
-    both = rs.projection.TangentPlane(center, distortion=maps)
+    both = rs.projection.TangentPlane(center, distortion={"BOSS": MAPS["sine"], "APOGEE": MAPS["theta"]})
     coord = center.directional_offset_by([10, 20, 30] * u.deg, [0.5, 0.6, 0.7] * u.deg)
     got = both.to_focal_plane(coord, ["BOSS", "APOGEE", ""])
     for k, name in enumerate(("sine", "theta", "sine")):
@@ -145,8 +144,7 @@ def test_each_fiber_type_has_its_map():
 
 
 def test_focal_length_is_another_way_to_say_plate_scale():
-    center = SkyCoord(1, 2, unit="deg")
-    plane = rs.projection.TangentPlane.from_focal_length(center, 20 * u.m)
+    plane = rs.projection.TangentPlane.from_focal_length(SkyCoord(1, 2, unit="deg"), 20 * u.m)
     assert plane.plate_scale.to_value(u.mm / u.deg) == pytest.approx(349.0658504)
 
 
