@@ -102,16 +102,6 @@ def test_columns_are_the_same_after_they_were_written_and_read(tmp_path, name, d
     assert_same(*FORMATS[name](catalog, tmp_path / name), catalog.extra.colnames)
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("name", FORMATS)
-@pytest.mark.parametrize("description", [one for one in COLUMNS if one not in REFUSED])
-def test_each_column_alone(tmp_path, name, description):
-    if not fits_into(name, [description]):
-        pytest.skip("FITS files cannot contain this column")
-    catalog = catalog_of([description])
-    assert_same(*FORMATS[name](catalog, tmp_path / name), catalog.extra.colnames)
-
-
 @pytest.mark.parametrize("description", sorted(REFUSED))
 def test_columns_that_no_table_in_a_file_can_contain_are_refused(description):
     with pytest.raises(rs.InputError, match=r"in keep must be (valid Unicode )?text|columns that are kept") as caught:

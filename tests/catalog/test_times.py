@@ -61,14 +61,6 @@ def test_other_values_are_refused_in_one_line(value):
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "value", [np.ma.masked, Masked(2026.5, mask=True), Time(Masked(2026.5, mask=True), format="jyear")]
-)
-def test_masked_times_are_refused(value):
-    refused("epoch must not have masked values", to_time, value, "epoch")
-    refused("time must be a date and time", to_moment, value, "time")
-
-
 def test_an_epoch_to_which_targets_are_moved_is_one_time():
     """An empty list of epochs moved no target, without a message."""
     sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.2 * u.deg, n_targets=60, rng=1)

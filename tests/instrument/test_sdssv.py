@@ -102,21 +102,19 @@ def test_las_campanas_takes_the_other_preset(tmp_path):
 
 
 def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
-    folder = sdssv_files.calibration(
-        tmp_path / "gaps",
-        positionerTable=lambda rows: changed("R0C13", alphaOffset="")(
-            changed("R-1C13", bossX="", bossY="")(changed("R0C15", apX="nan")(rows))
-        ),
-    )
-    inst = rs.Instrument.read(folder)
+    def gaps(rows):
+        rows = changed("R-1C13", bossX="", bossY="")(changed("R0C15", apX="nan")(rows))
+        return changed("R0C13", alphaOffset="")(rows)
+
+    inst = rs.Instrument.read(sdssv_files.calibration(tmp_path / "gaps", positionerTable=gaps))
     plane = inst.focal_plane
     assert plane.id[plane.disabled].tolist() == ["R-1C13", "R0C13"]
-    assert "These robots are disabled, because values in positionerTable.csv are missing: R0C13." in inst.notes
-    assert (
-        "The fiber BOSS of these robots is not used, because its position in positionerTable.csv is missing: R-1C13."
-        in inst.notes
-    )
-    assert "These robots are disabled, because they have no fiber: R-1C13." in inst.notes
+    for sentence in (
+        "These robots are disabled, because values in positionerTable.csv are missing: R0C13.",
+        "The fiber BOSS of these robots is not used, because its position in positionerTable.csv is missing: R-1C13.",
+        "These robots are disabled, because they have no fiber: R-1C13.",
+    ):
+        assert sentence in inst.notes
     assert plane.fiber_type[row_of(plane, "R0C15")] == "BOSS"
 
 
@@ -198,28 +196,25 @@ def test_impossible_radial_maps_are_refused(folder, column):
     refused(r"focalPlaneModel.csv: .*row 1", rs.Instrument.read, folder)
 
 
-def place_link(path):
-    path.symlink_to(path.with_name("nowhere.csv"))
-
-
-def place_loop(path):
-    path.symlink_to(path.name)
-
-
 OPTIONAL = ("fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
 
 
+PLACES_FOR = (
+    lambda path: path.symlink_to(path.with_name("nowhere.csv")),
+    lambda path: path.symlink_to(path.name),
+    Path.mkdir,
+)
+
+
 @pytest.mark.few(3)
-@pytest.mark.parametrize("place", [place_link, place_loop, Path.mkdir])
+@pytest.mark.parametrize("place", PLACES_FOR)
 @pytest.mark.parametrize("name", OPTIONAL)
 def test_optional_files_that_cannot_be_read_are_refused(folder, name, place):
     """The instrument silently had the values of the preset, such as 46 obstacles instead of 42."""
     path = folder / f"{name}.csv"
     path.unlink()
     place(path)
-    with pytest.raises(rs.InputError) as caught:
-        rs.Instrument.read(folder)
-    assert str(caught.value).startswith(str(path))
+    assert refused("", rs.Instrument.read, folder).startswith(str(path))
 
 
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() == 0, reason="every file is readable for this user")
@@ -265,34 +260,39 @@ def test_two_sites_need_a_choice(tmp_path):
     refused("site must be APO or LCO, got 'KPNO'", rs.Instrument.from_sdssv, folder, site="KPNO")
 
 
+def rows(change):
+    """Return a function that changes all rows."""
+    return lambda given: [change(row) for row in given]
+
+
+def twice(given):
+    return [*given, given[0]]
+
+
 BAD = {
-    "unknown site": ("positionerTable", lambda rows: [{**r, "site": "KPNO"} for r in rows], "site must be APO or LCO"),
+    "unknown site": ("positionerTable", rows(lambda r: {**r, "site": "KPNO"}), "site must be APO or LCO"),
     "missing column": (
         "positionerTable",
-        lambda rows: [{k: v for k, v in r.items() if k != "alphaArmLen"} for r in rows],
+        rows(lambda r: {k: v for k, v in r.items() if k != "alphaArmLen"}),
         "the table must have the column 'alphaArmLen'",
     ),
     "text": ("positionerTable", changed("R0C13", dx="far"), "column 'dx' must hold numbers, .*'far'"),
     "infinite": ("positionerTable", changed("R0C13", dx="inf"), "'dx' must hold finite .*, got 'inf' in row 5"),
-    "twice": (
-        "positionerTable",
-        lambda rows: [*rows, rows[0]],
-        "'holeID' must be unique, but 'R\\+2C13' occurs more than once",
-    ),
+    "twice": ("positionerTable", twice, "'holeID' must be unique, but 'R\\+2C13' occurs more than once"),
     "no hole": ("wokCoords", changed("R0C13", holeID="R9C9"), "must have all holes of .*, but R0C13 is missing"),
     "empty hole": ("wokCoords", changed("R0C13", holeID=""), "must have a value in each row"),
     "no position": ("wokCoords", changed("R0C13", xWok=""), "'xWok' must hold finite numbers .*, got '' in row 3"),
     "code of a position": ("wokCoords", changed("R0C13", yWok=-999.0), "'yWok' must hold .*, got '-999.0' in row 3"),
     "small code": ("wokCoords", changed("R0C13", yWok=99), "'yWok' must hold .*, got '99.0' in row 3"),
-    "another hole": ("wokCoords", changed("R0C13", xWok=0, yWok=0), r"within 5 mm .* \[0.0, 0.0\] for R0C13 in row 3"),
+    "another hole": ("wokCoords", changed("R0C13", xWok=0, yWok=0), r"5 mm .* \[0.0, 0.0\] for R0C13 in row 3"),
     "code of a fiducial": ("fiducialCoords", changed("R-2C12", yWok=-99), "'yWok' must hold .*, got '-99.0' in row 1"),
-    "code of a shift": ("wokOrientation", lambda rows: [{**rows[0], "x": -999}], "'x' must hold .* '-999' in row 1"),
+    "code of a shift": ("wokOrientation", rows(lambda r: {**r, "x": -999}), "'x' must hold .* '-999' in row 1"),
     "tilted robot": ("wokCoords", changed("R0C13", iz=0.1), "must stand perpendicular to the focal plane"),
     "mirrored robot": ("wokCoords", changed("R0C13", jx=-1), "must stand perpendicular to the focal plane"),
-    "fibers twice": ("fiberAssignments", lambda rows: [*rows, rows[0]], "must be unique"),
+    "fibers twice": ("fiberAssignments", twice, "must be unique"),
     "fiducial": ("fiducialCoords", changed("R-2C12", xWok="x"), "column 'xWok' must hold numbers"),
-    "orientation": ("wokOrientation", lambda rows: [{**rows[0], "x": "?"}], "column 'x' must hold numbers"),
-    "other site": ("wokOrientation", lambda rows: [{**rows[0], "site": "LCO"}], "must have rows of the site APO"),
+    "orientation": ("wokOrientation", rows(lambda r: {**r, "x": "?"}), "column 'x' must hold numbers"),
+    "other site": ("wokOrientation", rows(lambda r: {**r, "site": "LCO"}), "must have rows of the site APO"),
 }
 
 
@@ -301,10 +301,9 @@ BAD = {
 def test_bad_tables_are_refused_with_the_name_of_the_file(tmp_path, case):
     name, change, message = BAD[case]
     folder = sdssv_files.calibration(tmp_path / "bad", **{name: change})
-    with pytest.raises(rs.InputError, match=message) as caught:
-        rs.Instrument.read(folder)
-    assert str(folder / f"{name}.csv") in str(caught.value)
-    assert "\n" not in str(caught.value)
+    text = refused(message, rs.Instrument.read, folder)
+    assert str(folder / f"{name}.csv") in text
+    assert "\n" not in text
 
 
 NAMES = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "focalPlaneModel", "wokOrientation")
@@ -316,9 +315,7 @@ NAMES = ("positionerTable", "wokCoords", "fiberAssignments", "fiducialCoords", "
 def test_damaged_files_are_refused(folder, name, content):
     path = folder / f"{name}.csv"
     path.write_text(content)
-    with pytest.raises(rs.InputError) as caught:
-        rs.Instrument.read(folder)
-    assert str(path) in str(caught.value)
+    assert str(path) in refused("", rs.Instrument.read, folder)
 
 
 @pytest.mark.parametrize("name", ["positionerTable", "wokCoords", "focalPlaneModel"])
@@ -326,20 +323,15 @@ def test_truncated_files_are_refused(folder, name):
     path = folder / f"{name}.csv"
     text = path.read_text()
     path.write_text(text[: len(text) // 2].rpartition(",")[0])
-    with pytest.raises(rs.InputError) as caught:
-        rs.Instrument.read(folder)
-    assert str(path) in str(caught.value) or "wokCoords.csv" in str(caught.value)
+    assert refused("", rs.Instrument.read, folder).startswith((str(path), str(folder / "wokCoords.csv")))
+    refused("positionerTable", rs.Instrument.from_sdssv, folder.parent)
+    refused("there is no such folder", rs.Instrument.from_sdssv, folder / "nothing")
 
 
 def test_a_table_that_ends_early_gives_a_warning(tmp_path):
     folder = sdssv_files.calibration(tmp_path / "short", positionerTable=lambda rows: rows[:-2])
     with pytest.warns(rs.RfpsurveyWarning, match="fiberAssignments.csv has 2 positioners without a row"):
         assert len(rs.Instrument.read(folder).focal_plane) == 5
-
-
-def test_a_folder_without_the_table_of_robots_is_refused(tmp_path):
-    refused("positionerTable", rs.Instrument.from_sdssv, tmp_path)
-    refused("there is no such folder", rs.Instrument.from_sdssv, tmp_path / "nothing")
 
 
 def positions_and_angles(plane, plan, fiber):

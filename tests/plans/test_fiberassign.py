@@ -13,9 +13,7 @@ from numpy.testing import assert_array_equal
 from raising import refused, warned
 
 import rfpsurvey as rs
-from damaged_files import FINE, damage, outcome
 from rfpsurvey import plans
-from valid_files import Sample
 
 FEW = 20  # positioners of each petal
 pytestmark = pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
@@ -332,16 +330,6 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
     refused("the keyword OBSCON cannot be written", plans.write_plan, plan, tmp_path / "no.fits", format="fiberassign")
     assert not list(tmp_path.glob("no*"))
     assert not list(tmp_path.glob(".rfpsurvey*"))
-
-
-@pytest.mark.few(3)
-@pytest.mark.parametrize("seed", range(40))
-def test_other_damaged_files_are_refused_with_a_sentence(path, tmp_path, seed):
-    sample = Sample("DESI", path, lambda path: len(plans.read_plan(path, format="fiberassign")), lambda path: None)
-    (tmp_path / "damaged").mkdir()
-    damaged, done = damage(np.random.default_rng([8, seed]), sample, tmp_path / "damaged")
-    what, words = outcome(sample, damaged)
-    assert what in FINE, f"{done}: {what}: {words}"
 
 
 def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_data, tycho):

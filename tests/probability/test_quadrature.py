@@ -15,7 +15,7 @@ from rfpsurvey.probability._quadrature import environments
 from scenes import MM, SCENES, both_hands, lamost_like, sdss_like, with_troubles
 
 NUMBERS = ("value", "value_assigned", "pairs_per_positioner")
-N = 16_000
+N = 4000
 
 
 def annuli(plane):
@@ -67,10 +67,9 @@ PLAIN = {k: SCENES[k][0] for k in SCENES if k not in ("left", "parked arms ignor
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize(("n", "precision"), [(N // 4, 6e-4), pytest.param(N, 3e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", PLAIN)
-def test_uniform_targets_are_those_of_plain_simulation(name, n, precision, rng):
-    plane = PLAIN[name]
+def test_uniform_targets_are_those_of_plain_simulation(name, rng):
+    plane, n, precision = PLAIN[name], N, 6e-4
     got = rs.collision_probability(plane, method="quadrature", precision=precision)
     unit, centers = plane.positioner, plane.xy
     limited = unit.theta_range is not None
@@ -115,13 +114,12 @@ DENSITY = {"shared": ("shared", shared), "voronoi": ("voronoi", voronoi), "given
 
 
 @pytest.mark.few(3)
-@pytest.mark.parametrize(("n", "precision"), [(3000, 1.1e-3), pytest.param(8000, 7e-4, marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("name", DENSITY)
 @pytest.mark.parametrize(
     "plane", [lamost_like(2), sdss_like(2), with_troubles(lamost_like())], ids=["equal", "unequal", "troubles"]
 )
-def test_densities_are_those_of_rejection_sampling(name, plane, n, precision, rng):
-    density, keep = DENSITY[name]
+def test_densities_are_those_of_rejection_sampling(name, plane, rng):
+    (density, keep), n, precision = DENSITY[name], 3000, 1.1e-3
     got = rs.collision_probability(plane, method="quadrature", density=density, precision=precision)
     assert_same(got, simulate(plane, rng, keep(plane, rng), n=n), plane)
     assert got.meta["density"] == name

@@ -31,16 +31,13 @@ def test_the_surrogate_agrees_with_quadrature_at_designs_it_never_saw(rng):
 
 def test_the_surrogate_agrees_with_plain_simulation_of_a_large_array(rng):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(9 * MM, 14 * MM, 2 * MM), rings=5, pitch=27 * MM)
-    middle = np.hypot(*plane.xy.to_value("mm").T) < 2.1 * 27
-    n, m = 3000, len(plane)
-    r = np.sqrt(rng.uniform(5.0**2, 23.0**2, (n, m))) * (1 - 1e-12)
+    middle, n, m = np.hypot(*plane.xy.to_value("mm").T) < 2.1 * 27, 3000, len(plane)
+    r = np.maximum(np.sqrt(rng.uniform(5.0**2, 23.0**2, (n, m))) * (1 - 1e-12), 5.0 + 1e-9)
     alpha = rng.uniform(0, 2 * np.pi, (n, m))
-    r = np.maximum(r, 5.0 + 1e-9)
     tips = plane.xy.to_value("mm") + np.stack([r * np.cos(alpha), r * np.sin(alpha)], axis=-1)
     rate = rs.collision.count_collisions(plane, tips * MM).per_positioner[middle].mean() / n
-    error = 2 * np.sqrt(
-        rate * (1 - rate) / (n * middle.sum())
-    )  # neighbors share collisions, so that the variance is at most doubled
+    # neighbors share collisions, so that the variance is at most doubled
+    error = 2 * np.sqrt(rate * (1 - rate) / (n * middle.sum()))
     assert abs(rs.probability.surrogate_probability(9 * MM, 14 * MM, 27 * MM, 4 * MM) - rate) < 3 * error + 0.003
 
 
@@ -74,9 +71,9 @@ def test_the_surrogate_does_not_extrapolate(design, words):
 
 
 def test_arguments_of_the_surrogate_need_units_and_fitting_shapes():
-    refused("central_arm must be a Quantity", rs.probability.surrogate_probability, 8, 8 * MM, 25 * MM, 4 * MM)
-    with pytest.raises(rs.InputError, match="shapes that can be broadcast"):
-        rs.probability.surrogate_probability([8, 9] * MM, [8, 9, 10] * MM, 25 * MM, 4 * MM)
+    make, others = rs.probability.surrogate_probability, (25 * MM, 4 * MM)
+    refused("central_arm must be a Quantity", make, 8, 8 * MM, *others)
+    refused("shapes that can be broadcast", make, [8, 9] * MM, [8, 9, 10] * MM, *others)
 
 
 def test_the_table_of_the_surrogate_can_be_made_again(tmp_path, monkeypatch):
