@@ -17,7 +17,7 @@ from rfpsurvey.allocation._distribution import drop_neighbors
 from rfpsurvey.allocation._local_search import repair_collisions, stand
 from rule_scenes import CENTER, MM, Scene
 
-CHUNK, N_SCENES = 25, 500
+CHUNK, N_SCENES = 25, 150
 pytestmark = [
     pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost"),
     pytest.mark.filterwarnings("ignore:no target of the highest priority"),

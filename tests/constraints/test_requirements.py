@@ -36,6 +36,7 @@ TEXTS = [
     ("standard@BOSS=50-70", ("standard", 50, 70, "tile", "BOSS")),
     ("sky_boss=-300", ("sky_boss", 0, 300, "tile", "")),
     ("my own @x=007-7/spectrograph", ("my own", 7, 7, "spectrograph", "x")),
+    (" sky = 3 - 4 / spectrograph", ("sky", 3, 4, "spectrograph", "")),
 ]
 
 
@@ -45,39 +46,15 @@ def test_text_says_what_the_fields_say(text, fields):
     assert (one.what, one.minimum, one.maximum, one.per, one.fiber_type) == fields
 
 
-OTHER_TEXTS = [
-    "",
-    "sky",
-    "sky=",
-    "=3",
-    " =3",
-    "@BOSS=3",
-    "sky=-",
-    "sky=x",
-    "sky=3.5",
-    "sky=--3",
-    "sky=3-4-5",
-    "sky@=3",
-    "sky@a@b=3",
-    "sky=3/",
-    "a/b=3",
-    "a=b=3",
-    "sky=1e3",
-    "sky=+3",
-    "sky=3/spectrograph/x/",
-]
+OTHER_FORMS = ["", "sky", "sky=", "=3", " =3", "@BOSS=3", "sky=-", "sky=x", "sky=3.5", "sky=--3", "sky=3-4-5", "sky@=3"]
+OTHER_FORMS += ["sky@a@b=3", "sky=3/", "a/b=3", "a=b=3", "sky=1e3", "sky=+3", "sky=3/spectrograph/x/", "sky=3-", 5]
 
 
-@pytest.mark.parametrize("text", OTHER_TEXTS)
+@pytest.mark.parametrize("text", [*OTHER_FORMS, "sky=" + 5000 * "9"])
 def test_text_of_another_form_is_an_error(text):
-    with pytest.raises(rs.InputError) as error:
-        rs.Requirement.parse(text)
     form = "a requirement must have a form such as sky=20/spectrograph, standard@BOSS=50 or sky_boss=100-300, got "
-    assert str(error.value) == form + repr(text)
-
-
-def test_nothing_but_text_is_parsed():
-    refused("a requirement must have a form such as .*, got 5", rs.Requirement.parse, 5)
+    found = refused("", rs.Requirement.parse, text)
+    assert found == form + repr(text) or (len(repr(text)) > 99 and found.startswith(form))
 
 
 @pytest.mark.parametrize("text", ["science+standard=5/spectrograph", "Standard + science=5"])
@@ -86,38 +63,20 @@ def test_a_requirement_on_several_roles_is_an_error(text):
     refused("must contain one role, got .*, such as science=5 and standard=5", rs.Requirement.parse, text)
 
 
-def test_half_a_range_is_an_error():
-    with pytest.raises(rs.InputError):
-        rs.Requirement.parse("sky=3-")
-
-
-def test_a_number_of_any_length_is_no_crash():
-    with pytest.raises(rs.InputError):
-        rs.Requirement.parse("sky=" + 5000 * "9")
-
-
+WHAT = "a requirement must contain the name of a kind or category of targets, got"
+PER = "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got"
 IMPOSSIBLE_FIELDS = [
-    (("",), "a requirement must contain the name of a kind or category of targets, got ''"),
-    ((" ",), "a requirement must contain the name of a kind or category of targets, got ' '"),
-    ((None,), "a requirement must contain the name of a kind or category of targets, got None"),
-    (("sky", -1), "minimum of 'sky' must be a whole number from 0 to 10^9, got -1"),
-    (("sky", 1.0), "minimum of 'sky' must be a whole number from 0 to 10^9, got 1.0"),
-    (("sky", True), "minimum of 'sky' must be a whole number from 0 to 10^9, got True"),
-    (("sky", None), "minimum of 'sky' must be a whole number from 0 to 10^9, got None"),
-    (("sky", 0, -1), "maximum of 'sky' must be a whole number from 0 to 10^9, got -1"),
-    (("sky", 0, "9"), "maximum of 'sky' must be a whole number from 0 to 10^9, got '9'"),
+    *(((what,), f"{WHAT} {what!r}") for what in ("", " ", None)),
+    *((("sky", n), f"minimum of 'sky' must be a whole number from 0 to 10^9, got {n}") for n in (-1, 1.0, True, None)),
+    *((("sky", 0, n), f"maximum of 'sky' must be a whole number from 0 to 10^9, got {n!r}") for n in (-1, "9")),
     (("sky", 5, 4), "the minimum of the requirement on 'sky' must not exceed its maximum 4, got 5"),
-    (("sky", 5, None, "a/b"), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got 'a/b'"),
-    (("sky", 5, None, " "), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got ' '"),
-    (("sky", 5, None, None), "per of 'sky' must be 'tile', 'spectrograph' or the name of a column, got None"),
+    *((("sky", 5, None, per), f"{PER} {per!r}") for per in ("a/b", " ", None)),
 ]
 
 
 @pytest.mark.parametrize(("arguments", "message"), IMPOSSIBLE_FIELDS)
 def test_impossible_fields_are_named(arguments, message):
-    with pytest.raises(rs.InputError) as error:
-        rs.Requirement(*arguments)
-    assert str(error.value) == message
+    assert refused("", rs.Requirement, *arguments) == message
 
 
 def short(what="sky", place=None, requested=5, found=2, possible=9, **options):
@@ -158,10 +117,6 @@ def test_sentences_put_spectrographs_together():
     much = [short(place=k, found=6, per="spectrograph") for k in (1, 2)]
     assert sentences([*much, *few]) == [*map(str, much), *sentences(few)]
     assert sentences([]) == []
-
-
-def test_blanks_do_not_matter():
-    assert rs.Requirement.parse(" sky = 3 - 4 / spectrograph") == rs.Requirement("sky", 3, 4, "spectrograph")
 
 
 @pytest.mark.parametrize(("what", "hint"), [("brihgt", "; did you mean 'bright'?"), ("sky", ""), ("zzz", "")])

@@ -207,51 +207,35 @@ def test_collision_probabilities_refuse_constraints(small):
         rs.collision_probability(small.focal_plane, method="monte_carlo", allocator=options("lamost_rule"))
 
 
+BOOLEANS = "the constraint 'wrong' must return one boolean per target, shape"
+CIRCLES = "the constraint 'wrong' must return circles as finite numbers x, y and radius"
+LIST = "the check of the constraint 'wrong' must return a list of text, got"
+MARGIN = "margin_rad of the constraint 'wrong' must be a number from 0 to pi, got"
 WRONG_ANSWERS = [
-    (lambda field: field.extra["color"], "the constraint 'wrong' failed: KeyError: 'color'"),
-    (lambda field: field.column("color"), "must have the column 'color', but its further columns are: mag"),
-    (lambda field: [True], "the constraint 'wrong' must return one boolean per target, shape"),
-    (lambda field: field.xy[:, 0], "the constraint 'wrong' must return one boolean per target, shape"),
+    ("excluded", lambda field: field.extra["color"], "the constraint 'wrong' failed: KeyError: 'color'"),
+    ("excluded", lambda field: field.column("color"), "must have the column 'color', but its further columns are: mag"),
+    ("excluded", lambda field: [True], BOOLEANS),
+    ("excluded", lambda field: field.xy[:, 0], BOOLEANS),
+    *(
+        ("obstacles", lambda _, circles=circles: circles, CIRCLES)
+        for circles in (None, "x", [0, 0, 5.0], [[0, 0, np.nan]], [[0, 0, -1.0]], [[0, 0]])
+    ),
+    *(("check", lambda *_, found=found: found, LIST) for found in (None, "text", [1])),
+    *(("margin_rad", margin, MARGIN) for margin in (-0.1, np.nan, np.inf, 4.0, "wide")),
 ]
 
 
-@pytest.mark.parametrize(("answer", "words"), WRONG_ANSWERS)
-def test_a_wrong_answer_names_the_constraint(sky, small, answer, words):
-    @dataclass(frozen=True)
-    class Wrong(rs.constraints.Constraint):
-        name = "wrong"
-
-        def excluded(self, field):
-            return answer(field)
-
-    refused(words, lambda: rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions(constraints=Wrong())))
-
-
-@pytest.mark.parametrize("circles", [None, "x", [0, 0, 5.0], [[0, 0, np.nan]], [[0, 0, -1.0]], [[0, 0]]])
-def test_obstacles_that_are_no_circles_are_refused(sky, small, circles):
-    @dataclass(frozen=True)
-    class Wrong(rs.constraints.Constraint):
-        name = "wrong"
-
-        def obstacles(self, field):
-            return circles
-
-    words = "the constraint 'wrong' must return circles as finite numbers x, y and radius"
-    refused(words, lambda: rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions(constraints=Wrong())))
-
-
 @pytest.mark.filterwarnings("ignore:.*has no effect")
-@pytest.mark.parametrize("found", [None, "text", [1]])
-def test_a_check_that_returns_no_list_of_text_is_refused(sky, small, found):
-    @dataclass(frozen=True)
-    class Wrong(rs.constraints.Constraint):
-        name = "wrong"
+@pytest.mark.parametrize(("attribute", "answer", "words"), WRONG_ANSWERS)
+def test_a_wrong_answer_names_the_constraint(sky, small, attribute, answer, words):
+    """Regression: a margin that was negative or not a number was accepted."""
+    own = {"name": "wrong", attribute: (lambda _, *given: answer(*given)) if callable(answer) else answer}
+    wrong = dataclass(frozen=True)(type("Wrong", (rs.constraints.Constraint,), own))
 
-        def check(self, field, has_fiber, n_covering):
-            return found
+    def plan():
+        rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions("nearest", constraints=wrong()))
 
-    with pytest.raises(rs.InputError, match="the check of the constraint 'wrong' must return a list of text, got"):
-        rs.plan_tile(sky, small, CENTER, allocator=rs.AllocationOptions("nearest", constraints=Wrong()))
+    refused(words, plan)
 
 
 def test_a_constraint_that_is_no_dataclass_is_refused_before_planning():
@@ -300,16 +284,3 @@ def test_a_constraint_that_no_allocator_honors_causes_one_warning(sky, small):
     assert survey.tiles["n_unmet"].tolist() == [1]
     assert survey.tiles["unmet"].tolist() == ["few 3: 1 violation"]
     assert survey.summary["unmet"] == ["constraint few 3: 1 violation in 1 of 1 tile (0)"]
-
-
-@pytest.mark.parametrize("margin", [-0.1, np.nan, np.inf, 4.0, "wide"])
-def test_margins_of_constraints_are_angles(margin):
-    """Regression: a margin that was negative or not a number was accepted."""
-
-    @dataclass(frozen=True)
-    class Wrong(rs.constraints.Constraint):
-        margin_rad = margin
-        name = "wrong"
-
-    with pytest.raises(rs.InputError, match="margin_rad of the constraint 'wrong' must be a number from 0 to pi, got"):
-        rs.AllocationOptions(constraints=Wrong())

@@ -308,61 +308,37 @@ def test_conditions_are_read_from_a_file(tmp_path):
         refused(message, rs.ObservingConditions.read, path)
 
 
+def settings(**values):
+    """Return the words that set options of the conditions."""
+    return [word for name, value in values.items() for word in ("--set", f"conditions.{name}={value}")]
+
+
 def test_the_command_plans_under_conditions(run, tmp_path):
-    path = tmp_path / "night.toml"
+    path, output = tmp_path / "night.toml", tmp_path / "tile.ecsv"
     path.write_text(TOML)
     common = "plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23", "--epoch", "2026"
-    output = tmp_path / "tile.ecsv"
-    code, out, err = run(*common, "--set", f"conditions.path={path}", "--output", output, "--set", "projection=auto")
-    assert code == 0, err
-    assert "projection: dispersion; refraction and dispersion move targets by up to" in out
+    waves = {"wavelength.BOSS": 0.54, "wavelength.APOGEE": 1.6}
+    for words, text in (
+        ([*settings(path=path), "--output", output, "--set", "projection=auto"], "projection: dispersion; refraction"),
+        (settings(site="-105.82,32.78,2798", hour_angle=3, exposure_time=900, **waves), "projection: full; "),
+        (settings(path=path, time="2026-01-15T05:00:00", wavelength=0.6), "within the tolerance of 20 um"),
+    ):
+        code, out, err = run(*common, *words)
+        assert code == 0, err
+        assert text in out.replace("0.02 mm", "20 um")
     record = rs.Tile.read(output).provenance["parameters"]["conditions"]
     assert record == rs.ObservingConditions.read(path).record
-    options = (
-        "--set",
-        "conditions.hour_angle=3",
-        "--set",
-        "conditions.exposure_time=900",
-        "--set",
-        "conditions.wavelength.BOSS=0.54",
-        "--set",
-        "conditions.wavelength.APOGEE=1.6",
-    )
-    code, out, err = run(*common, "--set", "conditions.site=-105.82,32.78,2798", *options)
-    assert code == 0, err
-    assert "projection: full; " in out
-    code, out, err = run(
-        *common,
-        "--set",
-        f"conditions.path={path}",
-        "--set",
-        "conditions.time=2026-01-15T05:00:00",
-        "--set",
-        "conditions.wavelength=0.6",
-    )
-    assert code == 0, err
-    assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
 
 
 REFUSED_CONDITIONS = [
-    (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
-    (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
+    (settings(hour_angle=3), "conditions.site must be given"),
+    (settings(site="paranal"), "either a time or an hour_angle"),
+    (settings(site="paranal", time="now"), "conditions.time must be a date and time (UTC) such as"),
     (
-        ["--set", "conditions.site=paranal", "--set", "conditions.time=now"],
-        "conditions.time must be a date and time (UTC) such as",
-    ),
-    (
-        [
-            "--set",
-            "conditions.site=paranal",
-            "--set",
-            "conditions.hour_angle=1",
-            "--set",
-            "conditions.wavelength=BOSS",
-        ],
+        settings(site="paranal", hour_angle=1, wavelength="BOSS"),
         "conditions.wavelength must be a number (um) or text with a unit",
     ),
-    (["--set", "conditions.site=1,2", "--set", "conditions.hour_angle=1"], "site must be longitude"),
+    (settings(site="1,2", hour_angle=1), "site must be longitude"),
     (["--set", "projection=full"], "must have conditions"),
 ]
 

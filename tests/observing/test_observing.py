@@ -53,6 +53,14 @@ def conditions_at(time=TIME, **changes):
     return rs.ObservingConditions("apache point", time=time, **{**given, **changes})
 
 
+def sdssv_conditions(scale="tai"):
+    """Return the conditions of a configuration of 2024."""
+    waves = {"wavelength": {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}, "guide_wavelength": 0.6231 * u.um}
+    site = EarthLocation.from_geodetic(-105.820278 * u.deg, 32.7802778 * u.deg, 2788 * u.m)
+    time = Time(2460427.0, format="jd", scale=scale)
+    return rs.ObservingConditions(site, time=time, pressure=720 * u.hPa, temperature=5 * u.deg_C, **waves)
+
+
 def frame_of(conditions, wavelength):
     return AltAz(
         obstime=conditions.time,
@@ -274,15 +282,8 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
     folder = real_data("sdssv_apo_2024")
     plan = read_plan(folder / "confSummary-test.par.gz")
     instrument = rs.Instrument.from_sdssv(folder)
-    site = EarthLocation.from_geodetic(-105.820278 * u.deg, 32.7802778 * u.deg, 2788 * u.m)
-    conditions = rs.ObservingConditions(
-        site,
-        time=Time(2460427.0, format="jd", scale=scale),
-        wavelength={"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um},
-        guide_wavelength=0.6231 * u.um,
-        pressure=720 * u.hPa,
-        temperature=5 * u.deg_C,
-    )
+    conditions = sdssv_conditions(scale)
+    site = conditions.site
     center = SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
     for kind, n, bound in (("BOSS", 483, 0.003), ("APOGEE", 7, 0.01)):
         part = plan[((np.asarray(plan["fiber_type"]) == kind) & (np.asarray(plan["on_target"]) == 1))]
@@ -420,14 +421,7 @@ def test_a_sdssv_configuration_is_scored_from_its_positions_on_the_sky(real_data
     plan = read_plan(folder / "confSummary-test.par.gz")
     plan = plan[np.asarray(plan["on_target"]) == 1]
     instrument = rs.Instrument.from_sdssv(folder)
-    conditions = rs.ObservingConditions(
-        EarthLocation.from_geodetic(-105.820278 * u.deg, 32.7802778 * u.deg, 2788 * u.m),
-        time=Time(2460427.0, format="jd", scale="tai"),
-        wavelength={"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um},
-        guide_wavelength=0.6231 * u.um,
-        pressure=720 * u.hPa,
-        temperature=5 * u.deg_C,
-    )
+    conditions = sdssv_conditions()
     place = {"positions": "sky", "position_angle": 0.0916 * u.deg}
     place |= {"columns": {"ra": "ra_fiber", "dec": "dec_fiber"}, "units": {"ra": "deg", "dec": "deg"}}
     given = rs.score_tile(plan, instrument)

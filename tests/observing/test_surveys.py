@@ -53,16 +53,17 @@ def test_each_tile_has_the_conditions_of_its_row(sky, presets):
         assert not np.array_equal(ids, static["target_id"][static["status"] == "assigned"])
 
 
-def test_hour_angles_have_several_units(sky, presets):
-    one = rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=HOURS))
-    for column in (np.array(HOURS) * u.hourangle, np.array(HOURS) * 15 * u.deg, np.array(HOURS) * u.hour):
-        assert same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=column)))
-
-
-def test_times_are_times_or_text(sky, presets):
-    one = rs.plan_survey(sky, presets["moons"], tiling_with(time=TEXTS))
-    assert same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with(time=Time(TEXTS))))
-    assert not same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with()))
+def test_hour_angles_and_times_have_several_forms(sky, presets):
+    hours = np.array(HOURS)
+    static = rs.plan_survey(sky, presets["moons"], tiling_with())
+    for name, first, others in (
+        ("hour_angle", HOURS, (hours * u.hourangle, hours * 15 * u.deg, hours * u.hour)),
+        ("time", TEXTS, (Time(TEXTS),)),
+    ):
+        one = rs.plan_survey(sky, presets["moons"], tiling_with(**{name: first}))
+        assert not same_visits(one, static)
+        for column in others:
+            assert same_visits(one, rs.plan_survey(sky, presets["moons"], tiling_with(**{name: column})))
 
 
 KEPT_CONDITIONS = [
