@@ -73,6 +73,4 @@ def test_other_tables_are_refused_with_a_sentence(damage, message, tmp_path):
     table = QTable.read(path)
     damage(table)
     table.write(path, overwrite=True)
-    with pytest.raises(rs.InputError, match=message) as error:
-        rs.Instrument.read(path)
-    assert str(path) in str(error.value)
+    assert str(path) in refused(message, rs.Instrument.read, path)

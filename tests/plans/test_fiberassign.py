@@ -283,9 +283,7 @@ DAMAGED_FILES = [
 @pytest.mark.parametrize(("edit", "sentence"), DAMAGED_FILES)
 def test_damaged_files_are_refused(tmp_path, edit, sentence):
     desi_files.tile(tmp_path / "bad.fits", per_petal=FEW, edit=edit)
-    with pytest.raises(rs.errors.InputError, match=sentence) as caught:
-        plans.read_plan(tmp_path / "bad.fits")
-    assert "bad.fits" in str(caught.value)
+    assert "bad.fits" in refused(sentence, plans.read_plan, tmp_path / "bad.fits")
 
 
 def test_truncated_files_are_refused(path, tmp_path):
