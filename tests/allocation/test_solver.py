@@ -147,9 +147,9 @@ def test_a_failure_with_presolve_is_not_believed(monkeypatch, word):
         assert found == (None, np.inf)
 
 
-@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 27))])
+@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 8))])
 def test_programs_have_the_same_optimum_with_and_without_presolve(monkeypatch, chunk):
-    """All chunks together solve more than 1000 programs."""
+    """All chunks together solve more than 240 programs."""
     real, solved = _solver.maximize, []
 
     def maximize(rows, goal, most, deadline, *, integral, gap, presolve, **more):

@@ -131,12 +131,8 @@ def test_any_frame_will_do(frame):
     coord = SkyCoord([10, 20] * DEG, [30, 40] * DEG)
     catalog = rs.Catalog(coord.transform_to(frame))
     np.testing.assert_allclose(catalog.arrays.vectors, coord.cartesian.xyz.value.T, atol=1e-14)
-
-
-def test_galactic_columns():
-    c = SkyCoord([10, 20] * DEG, [30, 40] * DEG).galactic
-    catalog = rs.Catalog.from_table(QTable({"l": c.l, "b": c.b}), frame="galactic")
-    np.testing.assert_allclose(catalog.coord.icrs.ra.deg, [10, 20])
+    table = QTable({"l": coord.galactic.l, "b": coord.galactic.b})
+    np.testing.assert_allclose(rs.Catalog.from_table(table, frame="galactic").coord.icrs.ra.deg, [10, 20])
 
 
 def test_sexagesimal_text_and_csv_without_units(tmp_path):
@@ -264,42 +260,35 @@ def test_within_agrees_with_astropy(center, rng):
     np.testing.assert_array_equal(inside.id, np.flatnonzero(expected))
 
 
+ONE = {"ra": [1.0] * DEG, "dec": [1.0] * DEG}
+TEXT = "decimal numbers or sexagesimal text"
 BAD_TABLES = [
     ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
     ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
     ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
     ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
     ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
-    ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
+    ({"ra": ["x"], "dec": ["y"]}, f"column 'ra' .ra. must hold {TEXT}, got 'x': "),
     ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
-    (
-        {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
-        "decimal numbers or sexagesimal text, the same in all rows, got '10.5' and '06:20:11'",
-    ),
-    ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got 'abc'"),
-    ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got '--5'"),
+    ({"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]}, f"{TEXT}, the same in all rows, got '10.5' and '06:20:11'"),
+    ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, f"{TEXT}, got 'abc'"),
+    ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, f"{TEXT}, got '--5'"),
     ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
     ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
-    (
-        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
-        "column 'priority' .priority. must hold numbers",
-    ),
-    (
-        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]},
-        "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'",
-    ),
+    ({**ONE, "priority": ["high"]}, "column 'priority' .priority. must hold numbers"),
+    ({**ONE, "kind": ["galaxy"]}, "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'"),
     (
         {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
         r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
         r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
     ),
-    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
+    ({**ONE, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
     (
-        {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
+        {**ONE, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
         "must hold Julian years for targets with a proper motion, but 1 of these targets have other values",
     ),
-    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
-    ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
+    ({**ONE, "pmra": [1] * PM}, "there is no column for pmdec"),
+    ({**ONE, "id": [1.5]}, "must be integers or text for every row"),
 ]
 
 
@@ -379,14 +368,16 @@ def test_small_print_of_columns():
     assert rs.Catalog.from_table(both, columns={"ra": "ra", "dec": "dec"}).coord.ra[0].deg == 5
 
 
-def test_empty_text_ids_are_counted():
-    table = QTable({"name": ["a", "", "c", ""], "ra": [1, 2, 3, 4] * u.deg, "dec": [1, 2, 3, 4] * u.deg})
-    with pytest.warns(rs.RfpsurveyWarning, match=r"column 'name' \(id\) is empty in 2 of 4 rows \(rows 2, 4\)"):
-        assert rs.Catalog.from_table(table).id.tolist() == ["a", "", "c", ""]
-
-
-def test_one_target_is_no_plural():
-    assert repr(rs.Catalog(SkyCoord([1] * u.deg, [2] * u.deg))) == "<Catalog of 1 target>"
+def test_identifiers_are_text_or_counted_as_empty():
+    text = QTable({"name": ["a", "", "c", ""], "ra": [1, 2, 3, 4] * u.deg, "dec": [1, 2, 3, 4] * u.deg})
+    words = r"column 'name' \(id\) is empty in 2 of 4 rows \(rows 2, 4\)"
+    assert warned(words, rs.Catalog.from_table, text).id.tolist() == ["a", "", "c", ""]
+    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
+    catalog = rs.Catalog.from_table(table(id=ids))
+    assert catalog.id.tolist() == ["a", "b", "Ä"]
+    words, center = r"center must be one direction, got the shape \(2,\)", SkyCoord([1, 2] * DEG, [3, 4] * DEG)
+    refused(words, catalog.within, center, 1 * DEG)
+    assert repr(rs.Catalog(center[:1])) == "<Catalog of 1 target>"
 
 
 def test_coordinates_of_other_differentials_keep_their_proper_motions():
@@ -395,16 +386,6 @@ def test_coordinates_of_other_differentials_keep_their_proper_motions():
     catalog = rs.Catalog(SkyCoord(ra=[10, 20] * DEG, dec=[60, 0] * DEG, **motion))
     np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(PM), [2, 4], rtol=1e-12)
     np.testing.assert_allclose(catalog.coord.pm_dec.to_value(PM), [1, 2], rtol=1e-12)
-
-
-def test_identifiers_that_are_bytes_in_a_column_of_objects_are_text():
-    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
-    assert rs.Catalog.from_table(table(id=ids)).id.tolist() == ["a", "b", "Ä"]
-
-
-def test_the_center_of_a_circle_must_be_one_direction():
-    with pytest.raises(rs.InputError, match=r"center must be one direction, got the shape \(2,\)"):
-        rs.Catalog.from_table(table()).within(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG)
 
 
 def test_a_column_target_contains_the_identifiers():

@@ -118,24 +118,22 @@ def test_the_index_of_a_dataframe_identifies_its_rows(frame):
 
 
 def test_dataframes_that_are_refused_are_not_pasted(frame):
-    for call, message in (
-        (lambda: rs.Catalog.from_table(pd.concat([frame, frame], axis=1)), "must have different names, got 'Dec' more"),
-        (lambda: rs.plan_tile(frame[:0], "sdss_apo"), "the catalog must have at least one target"),
-        (lambda: rs.plan_tile(pd.DataFrame(), "sdss_apo"), "no column for ra and dec; the columns are: none"),
-        (lambda: rs.plan_tile([1], "sdss_apo"), "catalog must be a Catalog, SkyCoord, Table or DataFrame, got [1]"),
-        (lambda: rs.plan_tile(frame, frame), "TOML file, got a DataFrame of 300 rows"),
-        (lambda: rs.plan_tile(frame, "sdss_apo", frame), "center must be a SkyCoord, got a DataFrame of 300 rows"),
-        (
-            lambda: rs.plan_tile(frame, "sdss_apo", epoch=frame),
-            "or a date such as 2026-07-01, got a DataFrame of 300 rows",
-        ),
-        (lambda: rs.plan_tile(frame, "sdss_apo", rng=frame), "or None, got a DataFrame of 300 rows"),
-        (lambda: rs.AllocationOptions(sky_separation=frame), "got a DataFrame of 300 rows without a unit"),
-        (lambda: rs.AllocationOptions(frame), "unknown allocator a DataFrame of 300 rows"),
-        (lambda: rs.Catalog(frame), "coord must be a SkyCoord, got a DataFrame of 300 rows"),
-        (lambda: rs.Catalog.from_table(frame, columns=frame), "columns must be a dict from role to column, got a Data"),
+    rows = "got a DataFrame of 300 rows"
+    for message, call, *given in (
+        ("must have different names, got 'Dec' more", rs.Catalog.from_table, pd.concat([frame, frame], axis=1)),
+        ("the catalog must have at least one target", rs.plan_tile, frame[:0], "sdss_apo"),
+        ("no column for ra and dec; the columns are: none", rs.plan_tile, pd.DataFrame(), "sdss_apo"),
+        ("catalog must be a Catalog, SkyCoord, Table or DataFrame, got [1]", rs.plan_tile, [1], "sdss_apo"),
+        (f"TOML file, {rows}", rs.plan_tile, frame, frame),
+        (f"center must be a SkyCoord, {rows}", rs.plan_tile, frame, "sdss_apo", frame),
+        (f"or a date such as 2026-07-01, {rows}", lambda: rs.plan_tile(frame, "sdss_apo", epoch=frame)),
+        (f"or None, {rows}", lambda: rs.plan_tile(frame, "sdss_apo", rng=frame)),
+        (f"{rows} without a unit", lambda: rs.AllocationOptions(sky_separation=frame)),
+        ("unknown allocator a DataFrame of 300 rows", rs.AllocationOptions, frame),
+        (f"coord must be a SkyCoord, {rows}", rs.Catalog, frame),
+        ("columns must be a dict from role to column, got a Data", rs.Catalog.from_table, frame, frame),
     ):
-        text = refused("", call)
+        text = refused("", call, *given)
         assert message in text
         assert "\n" not in text
 
@@ -206,22 +204,20 @@ def test_positions_without_units_are_refused_only_if_another_position_has_a_unit
     refused(f"column '{'dec' if name == 'ra' else 'ra'}' has no unit", rs.Catalog.from_table, table)
 
 
-@pytest.mark.parametrize("unit", ["hourangle", "h", "hour", "Hours", "hr"])
-def test_right_ascensions_in_hours(unit):
-    assert rs.Catalog.from_table(
-        QTable({"ra": [6.5], "dec": [1.0]}), units={"ra": unit, "dec": "deg"}
-    ).coord.ra.deg == pytest.approx(97.5)
-
-
-def test_right_ascensions_in_hours_by_the_unit_of_the_column():
+def test_right_ascensions_in_hours():
+    dec = {"dec": [1.0] * DEG}
+    for unit in ("hourangle", "h", "hour", "Hours", "hr"):
+        table = QTable({"ra": [6.5], "dec": [1.0]})
+        catalog = rs.Catalog.from_table(table, units={"ra": unit, "dec": "deg"})
+        assert catalog.coord.ra.deg == pytest.approx(97.5)
     for unit in (u.hourangle, u.h):
-        catalog = rs.Catalog.from_table(Table({"ra": [6.5] * unit, "dec": [1.0] * DEG}))
+        catalog = rs.Catalog.from_table(Table({"ra": [6.5] * unit, **dec}))
         assert catalog.coord.ra.deg == pytest.approx(97.5)
     table = Table({"ra": ["06:30:00", "", "null"], "dec": [1.0, 2, 3] * DEG})
-    with pytest.warns(rs.RfpsurveyWarning, match="2 of 3 targets have no finite coordinates"):
-        assert rs.Catalog.from_table(table).coord.ra.deg == pytest.approx(97.5)
-    with pytest.raises(rs.InputError, match="the value of units for ra must be a unit, got 'somewhere'"):
-        rs.Catalog.from_table(Table({"ra": [1.0], "dec": [1.0] * DEG}), units={"ra": "somewhere"})
+    catalog = warned("2 of 3 targets have no finite coordinates", rs.Catalog.from_table, table)
+    assert catalog.coord.ra.deg == pytest.approx(97.5)
+    words = "the value of units for ra must be a unit, got 'somewhere'"
+    refused(words, rs.Catalog.from_table, Table({"ra": [1.0], **dec}), units={"ra": "somewhere"})
 
 
 def test_hours_are_suspected_only_where_they_explain_an_empty_field(frame):

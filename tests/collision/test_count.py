@@ -97,14 +97,11 @@ def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
 
 def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
     plane = lamost_like(1)
-    tips = np.stack([plane.xy + 3 * MM] * 140)
-    tips[130, 2] += 50 * MM
-    with pytest.raises(
-        rs.InputError, match="configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
-    ):
-        rs.collision.count_collisions(plane, tips)
     limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
     tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] += 50 * MM
+    words = "configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
+    refused(words, rs.collision.count_collisions, plane, tips)
     tips[130, 2] = limited.xy[2] + 0.1 * MM
     refused("configuration 130: 1 tips are beyond the joint limits", rs.collision.count_collisions, limited, tips)
 
@@ -134,17 +131,15 @@ def test_nothing_to_count():
     assert rs.collision.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
 
 
+IDLE = np.full((2, 7, 2), np.nan) * MM
 BAD_INPUT = [
     ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
     ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
     ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
     ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach; the first is the tip of"),
-    (
-        {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
-        "n_configurations can be given only with an Allocation",
-    ),
-    ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
-    ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
+    ({"tips": IDLE, "n_configurations": 3}, "n_configurations can be given only with an Allocation"),
+    ({"tips": IDLE, "executor": 2}, "executor must be a concurrent.futures.Executor"),
+    ({"tips": IDLE, "method": "sampled"}, "unknown method of counting collisions"),
 ]
 
 
@@ -154,31 +149,20 @@ def test_bad_input_is_named(arguments, message):
 
 
 def test_bad_draws_are_named():
-    plane = lamost_like(1)
-    xy = plane.xy + 1 * MM
-    with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
-        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
-    with pytest.raises(rs.InputError, match="such as those by 'balanced', got an allocation by 'lamost_rule'"):
-        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule"), n_configurations=3)
-    with pytest.raises(
-        rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
-    ):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, method="cuda"
-        )
-    with pytest.raises(rs.InputError, match="the allocation must be for the 19 positioners of the focal plane, got 7"):
-        rs.collision.count_collisions(lamost_like(2), rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
-    elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
-    with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
-        rs.collision.count_collisions(elsewhere, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
-    with pytest.raises(rs.InputError, match=r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, rng=np.random.RandomState(1)
-        )
+    plane, xy = lamost_like(1), lamost_like(1).xy + 1 * MM
+    queues, count = rs.allocate(plane, xy, allocator="balanced"), rs.collision.count_collisions
+    rule, elsewhere = rs.allocate(plane, xy, allocator="lamost_rule"), replace(plane, xy=plane.xy + 1000 * MM)
+    draw = {"n_configurations": 3}
+    refused("n_configurations must be a whole number of at least 0, got None", count, plane, queues)
+    refused("such as those by 'balanced', got an allocation by 'lamost_rule'", count, plane, rule, **draw)
+    words = "the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
+    refused(words, count, plane, queues, method="cuda", **draw)
+    words = "the allocation must be for the 19 positioners of the focal plane, got 7"
+    refused(words, count, lamost_like(2), queues, **draw)
+    refused("for another focal plane: 7 of its targets are out of reach", count, elsewhere, queues, **draw)
+    words = r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"
+    refused(words, count, plane, queues, rng=np.random.RandomState(1), **draw)
     for wrong in ("lamost", rs.Instrument.preset("lamost")):
-        refused("focal_plane must be a FocalPlane, got", rs.collision.count_collisions, wrong, xy)
-        refused("focal_plane must be a FocalPlane, got", rs.find_collisions, wrong, xy)
-    with pytest.raises(rs.InputError, match="handedness and fiber_type must be None for an Allocation"):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, handedness="left"
-        )
+        for call in (count, rs.find_collisions):
+            refused("focal_plane must be a FocalPlane, got", call, wrong, xy)
+    refused("handedness and fiber_type must be None for an Allocation", count, plane, queues, handedness="left", **draw)

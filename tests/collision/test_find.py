@@ -41,9 +41,11 @@ def test_distance_does_not_depend_on_where_the_scene_is(values, angle, shift):
     assert after == pytest.approx(before, abs=1e-6)
 
 
-def test_crossing_arms_have_distance_zero():
-    """The four endpoint distances of these crossing arms are 10 mm."""
-    assert collisions.segments_squared(*np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]]).ravel()) == 0
+def test_crossing_arms_have_distance_zero_and_collinear_arms_do_not_cross():
+    """The four endpoint distances of crossing arms are 10 mm; the orientations of collinear segments are all 0."""
+    assert collisions.segments_squared(-10.0, 0, 10, 0, 0, -10, 0, 10) == 0
+    assert collisions.segments_squared(0.0, 0, 1, 0, 5, 0, 9, 0) == 16
+    assert collisions.segments_squared(0.0, 0, 6, 0, 5, 0, 9, 0) == 0
 
 
 def test_the_limit_is_strict():
@@ -73,12 +75,6 @@ def test_obstacles_are_measured_along_the_whole_arm(rng):
         gap = shapely.distance(arm, shapely.points(circles[:, :2])) - circles[:, 2]
         assert report.obstacle_pairs[:, 1].tolist() == np.flatnonzero(gap < 2).tolist()
         np.testing.assert_allclose(report.obstacle_distances.value, np.maximum(gap[gap < 2], 0), atol=1e-12)
-
-
-def test_collinear_arms_do_not_cross():
-    """All four orientations of two collinear segments are 0, at any distance."""
-    assert collisions.segments_squared(0.0, 0, 1, 0, 5, 0, 9, 0) == 16
-    assert collisions.segments_squared(0.0, 0, 6, 0, 5, 0, 9, 0) == 0
 
 
 def test_a_long_capsule_has_more_neighbors():
@@ -111,23 +107,16 @@ def test_a_larger_clearance_never_removes_a_pair(rng):
 
 
 def test_parked_equal_arms_stand_in_the_way():
-    plane = lamost_like(rings=0)
-    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, plane.positioner)
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, lamost_like(rings=0).positioner)
     # the arm reaches the parked arm of the neighbor, which extends from (25.6, 0) to its elbow
-    tips = [[16, 0], [np.nan, np.nan]] * MM
-    parked_home = replace(plane, positioner=replace(plane.positioner, home=[180, 180] * u.deg))
+    tips, home = [[16, 0], [np.nan, np.nan]] * MM, [180, 180] * u.deg
+    parked_home = replace(plane, positioner=replace(plane.positioner, home=home))
     report = rs.find_collisions(parked_home, tips)
-    assert report.pairs.tolist() == [[0, 1]]
-    assert report.rate == 1
-    assert report.rate_assigned == 1
+    assert (report.pairs.tolist(), report.rate, report.rate_assigned) == ([[0, 1]], 1, 1)
     ignored = rs.find_collisions(parked_home, tips, parked_obstacles=False)
-    assert len(ignored.pairs) == 0
-    assert ignored.counted.tolist() == [True, False]
-    # the arm parked at theta = 0 points away from the neighbor
-    away = rs.find_collisions(plane, tips)
-    assert len(away.pairs) == 0
-    assert away.counted.tolist() == [True, True]
-    assert away.rate == 0
+    assert (len(ignored.pairs), ignored.counted.tolist()) == (0, [True, False])
+    away = rs.find_collisions(plane, tips)  # the arm parked at theta = 0 points away from the neighbor
+    assert (len(away.pairs), away.counted.tolist(), away.rate) == (0, [True, True], 0)
 
 
 def test_idle_unequal_arms_give_way():

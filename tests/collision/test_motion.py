@@ -13,7 +13,7 @@ from rfpsurvey.collision import LAWS, find_motion
 
 MM = u.mm
 N_BLOCK = 500  # pairs of arms in a block
-N_BLOCKS = int(os.environ.get("RFPSURVEY_MOTIONS", 40))
+N_BLOCKS = int(os.environ.get("RFPSURVEY_MOTIONS", 6))
 
 
 @numba.njit
@@ -83,7 +83,7 @@ UNITS = {
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", UNITS)
-@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 20))])
+@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 4))])
 def test_pairs_of_all_arm_models_agree_with_sampled_motions(name, law, block):
     rng, unit = np.random.default_rng([block, len(name), len(law)]), UNITS[name]
     separation, n, n_colliding = unit.numbers.separation, 20, 0

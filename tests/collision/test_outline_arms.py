@@ -159,11 +159,6 @@ plate_scale = { value = 60.0, unit = "um/arcsec" }
     }
 
 
-def test_outlines_are_drawn():
-    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=2, pitch=9.5 * u.mm)
-    rs.plot.plot_focal_plane(plane, ax=Figure().subplots())
-
-
 def test_parts_of_an_outline_are_one_path_per_arm():
     """Overlapping parts are filled once, and no edges between parts are visible."""
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
@@ -171,6 +166,7 @@ def test_parts_of_an_outline_are_one_path_per_arm():
     sky = center.directional_offset_by(np.arange(60) * u.deg, np.arange(60) * 4 * u.arcsec)
     catalog = rs.Catalog(sky)
     tile = rs.plan_tile(catalog, rs.Instrument("test", plane, plate_scale=60 * u.um / u.arcsec), center)
+    rs.plot.plot_focal_plane(plane, ax=Figure().subplots())
     ax = Figure().subplots()
     rs.plot.plot_focal_plane(tile, ax=ax)
     elbows, tips = (np.column_stack([tile.table[f"{n}_x"].value, tile.table[f"{n}_y"].value]) for n in ("elbow", "tip"))

@@ -118,8 +118,6 @@ def test_groups_of_the_wrong_form_are_errors(groups, message):
     assert refused("", rs.FocalPlane, [[0, 0], [25.6, 0]] * u.mm, robot, groups=groups).startswith(message)
 
 
-
-
 def test_commands_count_fibers_per_column_of_an_instrument_file(sky, petals, tmp_path, run):
     """An unknown column is one sentence, and the exit code is 2."""
     petals.focal_plane.to_table().write(tmp_path / "layout.ecsv")

@@ -231,19 +231,14 @@ def test_blank_sky_keeps_the_margins_and_avoids_hidden_circles():
 
 
 def test_a_focal_plane_with_margins_becomes_a_table_and_back():
-    plane, points = scene(EQUAL)
-    plane = replace(plane, margins=rs.Margins(outer=0.25 * u.mm, broken=200 * u.um, hidden_factor=1.65))
+    plain, points = scene(EQUAL)
+    assert (bool(plain.margins), str(plain.margins)) == (False, "none")
+    assert "margins" not in plain.to_table().meta
+    assert plain.arrays.edges[1] is plain.arrays.outer_radius
+    plane = replace(plain, margins=rs.Margins(outer=0.25 * u.mm, broken=200 * u.um, hidden_factor=1.65))
     again = rs.FocalPlane.from_table(plane.to_table())
     assert again.margins.record == {"outer_mm": 0.25, "broken_mm": 0.2, "hidden_factor": 1.65}
     assert pairs_of(again, points) == pairs_of(plane, points)
-
-
-def test_without_margins_nothing_is_recorded():
-    plane, _ = scene(EQUAL)
-    assert not plane.margins
-    assert str(plane.margins) == "none"
-    assert "margins" not in plane.to_table().meta
-    assert plane.arrays.edges[1] is plane.arrays.outer_radius
 
 
 WRONG_MARGINS = [
