@@ -87,8 +87,7 @@ def test_fiber_types_are_respected_and_recorded():
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM)
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, fiber_type=["B+A", "B"])
     allocation = rs.allocate(plane, [[12, 0], [8, 0]] * MM, allocator="lamost_rule", fiber_type=["A", ""])
-    assert allocation.target_of_positioner.tolist() == [0, 1]
-    assert allocation.fiber_type.tolist() == ["A", "B"]
+    assert (allocation.target_of_positioner.tolist(), allocation.fiber_type.tolist()) == ([0, 1], ["A", "B"])
 
 
 def test_both_hands_are_used_where_the_joints_ask_for_it():
@@ -122,8 +121,7 @@ def test_patrol_multiplicity_and_empty_positioners(presets, name, l1, l2, pitch,
 
     With t Poisson targets per cell, exp(-t m) of the positioners reach none.
     """
-    unit = presets[name].focal_plane.positioner
-    cell = np.sqrt(3) / 2 * pitch**2
+    unit, cell = presets[name].focal_plane.positioner, np.sqrt(3) / 2 * pitch**2
     assert 4 * np.pi * l1 * l2 / cell == pytest.approx(multiplicity, abs=7e-5)
     area = np.pi * (unit.outer_radius.value**2 - unit.inner_radius.value**2)
     assert area / cell == pytest.approx(multiplicity, abs=7e-5)
@@ -187,8 +185,7 @@ def test_options_say_what_differs_from_the_default():
 def test_a_fiber_type_for_all_may_be_a_broadcast_array():
     plane = rs.FocalPlane([[0, 0]] * u.mm, PLANES["equal"].positioner, fiber_type=["A+B"])
     plan = rs.allocate(plane, [[8, 0], [0, 8]] * u.mm, fiber_type=np.broadcast_to("B", 2), allocator="balanced")
-    assert plan.fiber_type.tolist() == ["B"]
-    assert plan.target_fiber_type.tolist() == ["B", "B"]
+    assert (plan.fiber_type.tolist(), plan.target_fiber_type.tolist()) == (["B"], ["B", "B"])
 
 
 def test_the_time_limit_reaches_the_plan_to_begin_with():
@@ -216,8 +213,7 @@ def test_what_holds_for_one_field_is_refused_for_several():
 def test_stuck_fibers_keep_their_sky_in_an_answer_that_is_handed_on():
     robot = PLANES["equal"].positioner
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot, stuck=[[0, 90], [np.nan, np.nan]] * u.deg)
-    options = {"requirements": "sky=2", "sky_separation": 1 * u.mm}
-    xy = [[30, 3], [28, -4]] * u.mm
+    options, xy = {"requirements": "sky=2", "sky_separation": 1 * u.mm}, [[30, 3], [28, -4]] * u.mm
     for start in ("lamost_rule", "network_flow", "optimal"):
         own = rs.AllocationOptions(lambda problem: problem.start(), start=start, **options)
         expected = rs.allocate(plane, xy, allocator=rs.AllocationOptions(start, **options))

@@ -66,8 +66,7 @@ def test_what_is_not_said_has_a_value():
 
 
 def test_the_plan_to_begin_with(small, hers, rng):
-    xy = rng.uniform(-70, 70, (200, 2)) * u.mm
-    plane = small.focal_plane
+    xy, plane = rng.uniform(-70, 70, (200, 2)) * u.mm, small.focal_plane
     for start in ("lamost_rule", "nearest", rs.allocate(plane, xy, allocator="optimal")):
         usual = start if isinstance(start, rs.allocation.Allocation) else rs.allocate(plane, xy, allocator=start)
         same(rs.allocate(plane, xy, allocator=rs.AllocationOptions("begin", start=start)), usual)

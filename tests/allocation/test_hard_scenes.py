@@ -85,18 +85,15 @@ def test_a_plan_of_repair_that_reaches_the_bound_is_proven():
     half = np.abs(plane.xy.value).max()
     xy = np.random.default_rng(0).uniform(-half, half, (60 * len(plane), 2)) * MM
     found = rs.allocate(plane, xy, allocator="optimal")
-    assert found.n_assigned == len(plane)
-    assert found.gap == 0
+    assert (found.n_assigned, found.gap) == (len(plane), 0)
 
 
 def test_many_classes_keep_to_the_time_limit():
     """With 200,000 classes and a limit of 2 s, the search once took 8.7 s."""
-    plane = hexagon(4, 1.2, 0.5)
-    rng = np.random.default_rng(0)
+    plane, rng = hexagon(4, 1.2, 0.5), np.random.default_rng(0)
     for n in (200, 100_000):  # the first plan loads the compiled functions
         xy = rng.uniform(-45, 45, (n, 2)) * MM
-        options = rs.AllocationOptions("optimal", time_limit=1 * u.s)
-        begin = perf_counter()
+        options, begin = rs.AllocationOptions("optimal", time_limit=1 * u.s), perf_counter()
         found = rs.allocate(plane, xy, allocator=options, priority=rng.permutation(n))
         seconds = perf_counter() - begin
         assert len(found.levels) == n
@@ -106,8 +103,7 @@ def test_many_classes_keep_to_the_time_limit():
 
 
 def test_classes_without_candidates_keep_their_objectives():
-    plane = hexagon(2, 1.2, 0.5)
-    xy = [[0, 0], [400, 0], [3, 4], [400, 9]] * MM
+    plane, xy = hexagon(2, 1.2, 0.5), [[0, 0], [400, 0], [3, 4], [400, 9]] * MM
     for objective in ("priority", "count"):
         options = rs.AllocationOptions("optimal", objective=objective)
         found = rs.allocate(plane, xy, allocator=options, priority=[4, 3, 2, 1])

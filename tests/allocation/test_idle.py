@@ -48,8 +48,7 @@ def test_as_few_idle_arms_as_possible_collide(monkeypatch, size):
     monkeypatch.setattr("rfpsurvey.allocation._idle.SIZE", size)
     n_better = 0
     for seed in range(30):
-        rng = np.random.default_rng(seed)
-        unit = rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
+        rng, unit = np.random.default_rng(seed), rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
         plane = rs.FocalPlane(np.column_stack([12.2 * np.arange(5), rng.normal(0, 0.2, 5)]) * MM, unit)
         xy = np.column_stack([rng.uniform(0, 50, 2), rng.uniform(-12, 12, 2)]) * MM
         plans = list(enumerate_plans(plane, xy))

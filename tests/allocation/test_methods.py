@@ -95,8 +95,7 @@ wishes = st.lists(
 @given(st.sampled_from(sorted(PLANES)), scenes(), wishes, st.randoms(use_true_random=False))
 def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requirements, random):
     plane, (xy, priority, kind) = PLANES[name], scene
-    category = [random.choice(["faint", ""]) for _ in xy]
-    can = plane.reachable(xy * MM).toarray()
+    category, can = [random.choice(["faint", ""]) for _ in xy], plane.reachable(xy * MM).toarray()
     found = flat.allocate(
         plane, xy * MM, "lamost_rule", requirements=requirements, priority=priority, kind=kind, category=category
     )

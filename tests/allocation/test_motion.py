@@ -103,8 +103,7 @@ def best_number(plane, points, law, directions):
         matrix[r, pair] = 1
     for (i, _), c in column.items():
         matrix[len(rows) + i, c] = 1
-    low = np.append(np.full(len(rows), -np.inf), np.ones(len(plane)))
-    most = np.ones(len(keys))
+    low, most = np.append(np.full(len(rows), -np.inf), np.ones(len(plane))), np.ones(len(keys))
     most[barred] = 0
     goal = np.array([arms[i][k][0] >= 0 for i, k in keys], dtype=float)
     found = milp(

@@ -37,8 +37,7 @@ def test_no_objective_is_worse_than_in_the_best_plan(chunk):
     for seed, plane, xy, options, rng, _ in scenes_of(chunk):
         subpriority = rng.random(len(xy))
         oracle = program_of(plane, xy, options, subpriority)
-        found = flat.allocate(plane, xy * MM, "optimal", **options)
-        best = oracle.best()
+        found, best = flat.allocate(plane, xy * MM, "optimal", **options), oracle.best()
         np.testing.assert_array_equal(oracle.values(found.target_of_positioner)[:-1], best[:-1], err_msg=str(seed))
         allocator, others = flat.split("optimal", dict(options), flat.NAMES - {"required", "keep_out", "subpriority"})
         found = rs.allocate(plane, xy * MM, allocator=allocator, subpriority=subpriority, **others)

@@ -15,8 +15,7 @@ CHUNK, EXHAUSTIVE = 25, pytest.mark.exhaustive
 
 def random_case(seed, *, quotas):
     rng = np.random.default_rng(seed)
-    plane = random_plane(rng)
-    m = int(rng.integers(1, 10))
+    plane, m = random_plane(rng), int(rng.integers(1, 10))
     xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
     options = {"priority": rng.integers(0, rng.integers(1, 4), m).astype(float)}
     if plane.fiber_types != ("",):
@@ -46,14 +45,12 @@ def random_case(seed, *, quotas):
 
 def judge(plane, xy, options):
     """Return a function that computes the value of a plan as a tuple, or None if the plan exceeds a maximum."""
-    m = len(xy)
-    priority = options["priority"]
+    m, priority = len(xy), options["priority"]
     kind = options.get("kind", np.full(m, "science"))
     category = options.get("category", np.full(m, ""))
     fibers = options.get("fiber_type", np.full(m, ""))
     required = np.isin(np.arange(m), options.get("required", []))
-    first = [row.split("+")[0] for row in plane.fiber_type]
-    science = kind == "science"
+    first, science = [row.split("+")[0] for row in plane.fiber_type], kind == "science"
 
     def spectrograph(i, t):
         if plane.spectrograph.ndim == 1:
@@ -65,8 +62,7 @@ def judge(plane, xy, options):
         return named and one.fiber_type in ("", fibers[t] or first[i])
 
     def value(plan):
-        pairs = [(i, option[0]) for i, option in enumerate(plan) if option is not None]
-        lack = 0
+        pairs, lack = [(i, option[0]) for i, option in enumerate(plan) if option is not None], 0
         for one in options.get("requirements", ()):
             places = [None] if one.per == "tile" else sorted(set(plane.spectrograph.ravel().tolist()))
             for place in places:

@@ -100,8 +100,7 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2 * MM), rings=1, pitch=20 * MM)
     # many targets at equal distances
     xy = np.concatenate([rng.uniform(-36, 36, (150, 2)), 4.0 * rng.integers(-9, 9, (60, 2))])
-    priority = rng.integers(0, 3, len(xy)).tolist()
-    can = plane.reachable(xy * MM).toarray()
+    priority, can = rng.integers(0, 3, len(xy)).tolist(), plane.reachable(xy * MM).toarray()
     assert (can.sum(axis=1) > plane.arrays.n_sharing + 1).all()
     plan = rs.allocate(plane, xy * MM, allocator="nearest", priority=priority)
     assert plan.target_of_positioner.tolist() == closest_pairs_first(xy, plane.arrays.xy, can, priority)
@@ -111,15 +110,12 @@ def test_rules_in_a_crowd_are_the_rules_as_written(seed):
 
 def test_two_hundred_thousand_targets_in_a_field_of_unequal_arms_are_planned_with_a_proof():
     """Regression: all conflicts of all candidates were listed, which required gigabytes of memory."""
-    model = rs.Instrument.preset("sdss_apo")
-    rng = np.random.default_rng(0)
-    n = 200_000
+    model, rng, n = rs.Instrument.preset("sdss_apo"), np.random.default_rng(0), 200_000
     r, angle = 330 * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM
     types = rng.choice(["BOSS", "APOGEE"], n)
     plan = rs.allocate(model.focal_plane, xy, allocator="optimal", fiber_type=types, priority=rng.integers(0, 3, n))
-    assert plan.gap == 0
-    assert plan.n_assigned == 500
+    assert (plan.gap, plan.n_assigned) == (0, 500)
     assert plan.meta["n_left_out"] > 200_000
     assert plan.meta["n_conflicts"] < 5e6
     assert len(rs.find_collisions(model.focal_plane, plan).pairs) == 0
@@ -127,8 +123,7 @@ def test_two_hundred_thousand_targets_in_a_field_of_unequal_arms_are_planned_wit
 
 def test_candidates_grow_no_more_with_the_number_of_targets():
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), rings=1, pitch=25.6 * MM)
-    rng = np.random.default_rng(2)
-    counts = []
+    rng, counts = np.random.default_rng(2), []
     for n in (20_000, 80_000):
         plan = rs.allocate(plane, rng.uniform(-40, 40, (n, 2)) * MM, allocator="optimal")
         counts.append(plan.meta["n_candidates"])

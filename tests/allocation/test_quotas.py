@@ -176,8 +176,7 @@ def test_a_category_comes_before_the_kind_of_the_same_name(method):
 
 @pytest.mark.parametrize("method", FILLING)
 def test_spectrographs_count_on_their_own(method):
-    xy = np.concatenate([XY, [[40, 9], [80, 9.5]]])
-    kind = [*KIND, "sky", "standard"]
+    xy, kind = np.concatenate([XY, [[40, 9], [80, 9.5]]]), [*KIND, "sky", "standard"]
     found = flat.allocate(ROW, xy * MM, method, requirements=["sky=1/spectrograph", "standard=1"], kind=kind)
     assert [str(s) for s in found.unmet] == ["sky targets in spectrograph 9: 0 of 1, 1 missing; none is in reach"]
     target_of = found.target_of_positioner
@@ -205,8 +204,7 @@ def test_a_fiber_type_narrows_what_counts(method):
     plane = rs.FocalPlane(ROW.xy, UNIT, fiber_type=["B+A", "A", "B"])
     fiber = ["B", "A", "B", "A", "", "B"]
     found = flat.allocate(plane, XY * MM, method, requirements=["sky@A=1"], kind=KIND, fiber_type=fiber)
-    assert found.target_of_positioner.tolist() == [3, 1, 2]
-    assert found.fiber_type.tolist() == ["A", "A", "B"]
+    assert (found.target_of_positioner.tolist(), found.fiber_type.tolist()) == ([3, 1, 2], ["A", "A", "B"])
     found = flat.allocate(plane, XY * MM, method, requirements=["science@B=3"], kind=KIND, fiber_type=fiber)
     assert [str(s) for s in found.unmet] == ["science targets for B: 2 of 3, 1 missing; only 2 are in reach"]
 
@@ -260,8 +258,7 @@ def test_forbidden_pairs_are_never_used(method):
     fills = method in ("network_flow", "optimal", "repair")
     assert bound.target_of_positioner[1:].tolist() == [1, -1]
     assert (bound.target_of_positioner[0] >= 3) == fills
-    assert bound.n_reachable == 6
-    assert bound.positioner_of_target[[0, 2]].tolist() == [-1, -1]
+    assert (bound.n_reachable, bound.positioner_of_target[[0, 2]].tolist()) == (6, [-1, -1])
 
 
 def test_a_type_of_fiber_with_its_own_spectrograph_is_not_omitted():
@@ -277,5 +274,4 @@ def test_a_type_of_fiber_with_its_own_spectrograph_is_not_omitted():
         priority=np.where(types == "B", 1, 5),
         allocator=rs.AllocationOptions("optimal", requirements=["science=0-90", "science=1/spectrograph"]),
     )
-    assert plan.unmet == ()
-    assert plan.fiber_type.tolist() == ["B", "A"]
+    assert (plan.unmet, plan.fiber_type.tolist()) == ((), ["B", "A"])

@@ -17,8 +17,7 @@ def held(one, plane, pairs, kind, category, fiber, place=None):
     n = 0
     for i, t in pairs:
         group = category if one.what in set(category) else kind
-        first = plane.fiber_type[i].split("+")[0]
-        column = plane.spectrograph[i]
+        first, column = plane.fiber_type[i].split("+")[0], plane.spectrograph[i]
         if np.ndim(column):
             column = column[plane.fiber_types.index(fiber[t] or first)]
         n += group[t] == one.what and one.fiber_type in ("", fiber[t] or first) and place in (None, column)
@@ -27,8 +26,7 @@ def held(one, plane, pairs, kind, category, fiber, place=None):
 
 def random_case(seed):
     """Return a plane of two fiber types with crowded targets, standards and sky positions, and limits of all kinds."""
-    rng = np.random.default_rng(seed)
-    plane = two_fibers()
+    rng, plane = np.random.default_rng(seed), two_fibers()
     spectrograph = rng.integers(0, 3, (37, 2) if seed % 2 else 37)
     plane = rs.FocalPlane(plane.xy, plane.positioner, fiber_type=plane.fiber_type, spectrograph=spectrograph)
     n = 160

@@ -72,8 +72,7 @@ def search(plane, plan, types):
 def test_reasons_are_those_of_a_search_over_single_moves(name):
     plane, seen = planes()[name], set()
     for seed in range(6):
-        rng = np.random.default_rng(seed)
-        n = (6, 40, 40, 70, 70, 40)[seed]
+        rng, n = np.random.default_rng(seed), (6, 40, 40, 70, 70, 40)[seed]
         points = rng.uniform(-55, 55, (n, 2))
         types = rng.choice(["", "A", "B"], n) if name == "fiber types" else np.full(n, "")
         options = rs.AllocationOptions(("optimal", "lamost_rule")[seed % 3 == 2], parked_obstacles=seed % 2 == 0)

@@ -30,8 +30,7 @@ def scene(name, n=110, seed=3):
 
 def at_fault(plane, found):
     """Return the colliding pairs in which at least one arm has a target, and collisions of such arms with obstacles."""
-    report = rs.find_collisions(plane, found)
-    busy = found.target_of_positioner >= 0
+    report, busy = rs.find_collisions(plane, found), found.target_of_positioner >= 0
     return [tuple(p) for p in report.pairs if busy[p].any()] + [tuple(p) for p in report.obstacle_pairs if busy[p[0]]]
 
 
@@ -116,14 +115,12 @@ def test_the_other_elbow_saves_both_targets(method):
     ]
     assert elbows == [("left", "left")]
     found = rs.allocate(plane, xy, allocator=method, forbidden=apart)
-    assert found.target_of_positioner.tolist() == [0, 1]
-    assert found.handedness.tolist() == ["left", "left"]
+    assert (found.target_of_positioner.tolist(), found.handedness.tolist()) == ([0, 1], ["left", "left"])
     assert at_fault(plane, found) == []
     right = rs.FocalPlane(centers, rs.Positioner(**unit))
     assert rs.allocate(right, xy, allocator=method, forbidden=apart).n_assigned <= 1
     again = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=found), forbidden=apart)
-    assert again.handedness.tolist() == ["left", "left"]
-    assert again.meta["n_moved"] == 0
+    assert (again.handedness.tolist(), again.meta["n_moved"]) == (["left", "left"], 0)
 
 
 @pytest.mark.parametrize("start", ["network_flow", "optimal"])

@@ -48,8 +48,7 @@ def check_columns(found, xy):
     assert len(found.xy) == len(found.positioner_of_target) == n + len(own)
     np.testing.assert_array_equal(found.xy[:n].value, xy)
     assert sorted(rows) == list(range(n, n + len(own)))
-    used = np.flatnonzero(found.target_of_positioner >= 0)
-    expected = np.full(n + len(own), -1)
+    used, expected = np.flatnonzero(found.target_of_positioner >= 0), np.full(n + len(own), -1)
     expected[found.target_of_positioner[used]] = used
     np.testing.assert_array_equal(found.positioner_of_target, expected)
     np.testing.assert_array_equal(found.tips[used].value, found.xy[found.target_of_positioner[used]].value)
@@ -66,8 +65,7 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     own, rows = blank_of(found)
     stuck = plane.arrays.is_stuck[own]
     assert len(own) >= 10
-    tree = cKDTree(xy[np.isfinite(xy[:, 0])])
-    points = found.xy[rows].to_value(MM)
+    tree, points = cKDTree(xy[np.isfinite(xy[:, 0])]), found.xy[rows].to_value(MM)
     assert tree.query(points)[0].min() >= separation
     r = np.hypot(*(points - plane.arrays.xy[own]).T)
     l1 = np.full(37, plane.positioner.central_arm.value)
@@ -77,8 +75,7 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     assert (r[~stuck] >= inner[~stuck]).all()
     assert not plane.disabled[own].any()
     assert plane.reachable(found.xy).toarray()[own[~stuck], rows[~stuck]].all()
-    posed = found.place_arms(plane)
-    unit = plane.positioner
+    posed, unit = found.place_arms(plane), plane.positioner
     if unit.phi_range is not None:
         low, high = unit.phi_range.to_value(u.rad)
         assert ((posed.phi[own] >= low - 1e-9) & (posed.phi[own] <= high + 1e-9)).all()
@@ -126,8 +123,7 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
 @pytest.mark.parametrize("method", FILLING)
 @pytest.mark.parametrize("wishes", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
 def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
-    xy = targets(rng, 20)
-    options = {"method": method, "requirements": wishes}
+    xy, options = targets(rng, 20), {"method": method, "requirements": wishes}
     found = flat.allocate(two_fibers(), xy * MM, sky_separation=3 * MM, **options)
     without = flat.allocate(two_fibers(), xy * MM, **options)
     assert len(found.xy) == found.n_given == 20
@@ -160,21 +156,18 @@ def test_sky_that_is_given_counts_and_found_sky_adds_to_it(method):
         priority=[3, 2, 0, 1],
         forbidden=[[0, 2]],
     )
-    assert found.unmet == ()
-    assert found.target_of_positioner[0] == 0
+    assert (found.unmet, found.target_of_positioner[0]) == ((), 0)
     assert sorted(found.target_of_positioner[1:]) == [4, 5]
     found = flat.allocate(
         plane, xy, method, requirements="sky=3", sky_separation=2 * MM, kind=["sky", "sky", "sky", "sky"]
     )
-    assert found.unmet == ()
-    assert found.n_assigned == 3
+    assert (found.unmet, found.n_assigned) == ((), 3)
 
 
 @pytest.mark.parametrize("method", FILLING)
 def test_each_fiber_type_has_sky_of_its_own(method, rng):
     plane = replace(two_fibers(), fiber_type=["B+A"] * 12 + ["A"] * 13 + ["B"] * 12)
-    xy = targets(rng, 80)
-    fiber = rng.choice(["A", "B", ""], 80)
+    xy, fiber = targets(rng, 80), rng.choice(["A", "B", ""], 80)
     found = flat.allocate(
         plane, xy * MM, method, requirements=["sky@A=7", "sky@B=8"], sky_separation=2 * MM, fiber_type=fiber
     )
@@ -192,8 +185,7 @@ def test_each_fiber_type_has_sky_of_its_own(method, rng):
 @pytest.mark.parametrize("method", FILLING)
 def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     plane = replace(two_fibers(), spectrograph=np.column_stack([np.arange(37) % 2, np.arange(37) % 3]))
-    xy = targets(rng, 60)
-    wishes = ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
+    xy, wishes = targets(rng, 60), ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
     found = flat.allocate(plane, xy * MM, method, requirements=wishes, sky_separation=2 * MM)
     own, rows = blank_of(found)
     columns = plane.spectrograph[own, [plane.fiber_types.index(name) for name in found.target_fiber_type[rows]]]
@@ -206,8 +198,7 @@ def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     for (name, place), n in counts.items():
         assert n == lacking[name, place] if (name, place) in lacking else n >= {"A": 2, "B": 3}[name]
     # fiber type B belongs only to spectrographs 0 and 1
-    assert set(lacking) == {("B", 2)}
-    assert lacking["B", 2] == 0
+    assert (set(lacking), lacking["B", 2]) == ({("B", 2)}, 0)
 
 
 def one_stuck(theta=30, phi=100):
@@ -223,14 +214,12 @@ def test_a_stuck_fiber_that_looks_at_blank_sky_is_a_sky_fiber(method):
     plane, tip = one_stuck()
     xy = [tip + [0, 2.01], [62, 0]] * MM
     found = rs.allocate(plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1", sky_separation=2 * MM))
-    assert found.target_of_positioner.tolist() == [2, 1]
-    assert found.unmet == ()
+    assert (found.target_of_positioner.tolist(), found.unmet) == ([2, 1], ())
     np.testing.assert_allclose(found.tips[0].value, tip, atol=1e-12)
     check_columns(found, xy.value)
     again = flat.allocate(plane, xy, method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
     if method in FILLING:
-        assert sorted(again.target_of_positioner) == [2, 3]
-        assert again.unmet == ()
+        assert (sorted(again.target_of_positioner), again.unmet) == ([2, 3], ())
     else:
         assert again.target_of_positioner.tolist() == [2, 1]
         assert [(s.spectrograph, s.found) for s in again.unmet] == [(2, 0)]

@@ -88,8 +88,7 @@ def test_rules_serve_targets_in_this_order(name, seed):
     xy, priority = rng.uniform(-45, 45, (n, 2)), rng.integers(0, 3, n)
     value = rng.permutation(n) / n
     order = np.argsort(-value)
-    place = np.argsort(order)
-    can = plane.reachable(xy * MM).toarray()
+    place, can = np.argsort(order), plane.reachable(xy * MM).toarray()
 
     def plan(allocator, priority=priority):
         return rs.allocate(plane, xy * MM, allocator=allocator, priority=priority, subpriority=value)
@@ -107,8 +106,7 @@ def test_rules_serve_targets_in_this_order(name, seed):
 
 def plans_of(plane, xy, collide):
     """Yield the targets of each plan, without collisions if ``collide`` is true."""
-    choices = options_of(plane, xy, None, both=False)
-    pairs = set()
+    choices, pairs = options_of(plane, xy, None, both=False), set()
     if collide:
         pairs, _ = conflicts_of(plane, bodies_of(plane, xy, choices, None, True))
     for picked in product(*(range(len(mine)) for mine in choices)):
@@ -206,8 +204,7 @@ def test_a_tile_depends_on_identifiers_and_not_on_rows(field, ids, rng):
 
 def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
     catalog, center = field
-    value = subpriorities(catalog.id, 4)
-    table = catalog.to_table()
+    value, table = subpriorities(catalog.id, 4), catalog.to_table()
     table["SUBPRIORITY"] = value
     kept = rs.Catalog.from_table(table, keep=["SUBPRIORITY"])
     options = rs.AllocationOptions("nearest", subpriority="SUBPRIORITY")
@@ -219,8 +216,7 @@ def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
         for folder in (None, tmp_path / "survey")
     ]
     for survey in surveys:
-        visits = survey.tile(0)
-        used = np.isfinite(by_seed["ra"])
+        visits, used = survey.tile(0), np.isfinite(by_seed["ra"])
         assert np.asarray(visits["target_id"]).tolist() == np.asarray(by_seed["target_id"])[used].tolist()
 
 

@@ -77,8 +77,7 @@ UNUSED = [
 @pytest.mark.parametrize(("allocator", "options", "words"), UNUSED)
 def test_plans_warn_of_an_option_that_the_allocator_does_not_use(sky, allocator, options, words):
     own = {name: value for name, value in options.items() if name != "rng"}
-    rng = options.get("rng", 0)
-    asked = rs.AllocationOptions(allocator, **own)
+    rng, asked = options.get("rng", 0), rs.AllocationOptions(allocator, **own)
     calls = {
         "plan_tile": lambda: rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=rng),
         "plan_survey": lambda: rs.plan_survey(sky, "moons", TILES, allocator=asked, rng=rng),

@@ -37,8 +37,7 @@ def test_columns_of_every_type():
     assert extra["g"].unit == u.mag
     np.testing.assert_array_equal(extra["g"].value, [10.5, np.nan, 12.5])
     np.testing.assert_array_equal(extra["n"], [1, 2, np.nan])
-    assert extra["name"].tolist() == ["", "b", "c"]
-    assert extra["seen"].tolist() == [True, False, True]
+    assert (extra["name"].tolist(), extra["seen"].tolist()) == (["", "b", "c"], [True, False, True])
     assert extra["mixed"].tolist() == ["x", "", ""]
     numbers = QTable({**table()["id", "ra", "dec"], "note": np.array([1, None, 2.5], dtype=object)})
     np.testing.assert_array_equal(rs.Catalog.from_table(numbers, keep="note").extra["note"], [1, np.nan, 2.5])
@@ -46,8 +45,7 @@ def test_columns_of_every_type():
 
 def test_rows_stay_together():
     catalog = warned("1 of 4 targets", rs.Catalog, COORD, extra={"n": [0, 1, 2, 3], "g": [0.0, 1, 2, 3] * u.mag})
-    assert catalog.extra["n"].tolist() == [0, 1, 3]
-    assert catalog[[2, 0]].extra["n"].tolist() == [3, 0]
+    assert (catalog.extra["n"].tolist(), catalog[[2, 0]].extra["n"].tolist()) == ([0, 1, 3], [3, 0])
     assert catalog.within(COORD[3], 1 * u.arcsec).extra["g"] == [3] * u.mag
     assert replace(catalog, priority=[1, 2, 3]).extra["n"].tolist() == [0, 1, 3]
     assert repr(catalog) == "<Catalog of 3 targets with n, g>"

@@ -30,8 +30,7 @@ def frame(rng):
 
 
 def test_a_tile_of_a_dataframe_is_that_of_its_table(frame):
-    tile = rs.plan_tile(frame, "sdss_apo", "95 23")
-    table = QTable.from_pandas(frame)
+    tile, table = rs.plan_tile(frame, "sdss_apo", "95 23"), QTable.from_pandas(frame)
     table["RA"].unit = table["Dec"].unit = DEG
     expected = rs.plan_tile(table, "sdss_apo", SkyCoord(95 * DEG, 23 * DEG))
     assert (tile.table["target_id"] == expected.table["target_id"]).all()
@@ -72,8 +71,7 @@ def test_tilings_of_dataframes_are_those_of_their_tables():
         assert found.colnames == expected.colnames
         assert all((found[name] == expected[name]).all() for name in expected.colnames)
         sky = rs.synthetic_catalog("uniform", SkyCoord("95d 23d"), 1 * DEG, n_targets=50, rng=1)
-        assert len(rs.plan_survey(sky, "sdss_apo", given)) == 3
-        assert len(rs.tiling.Centers(given).coord) == 3
+        assert (len(rs.plan_survey(sky, "sdss_apo", given)), len(rs.tiling.Centers(given).coord)) == (3, 3)
     assert rs.Tiling.from_table(frame[frame["RACEN"] > 94.5]).table["tile"].tolist() == [0, 1]
     hours = rs.Tiling.from_table(frame.assign(RACEN=frame["RACEN"] / 15), units={"ra": "hourangle"})
     np.testing.assert_allclose(hours.table["ra"].to_value(DEG), frame["RACEN"])
@@ -104,8 +102,7 @@ def test_missing_and_odd_columns_of_dataframes(frame):
     frame["period"], frame["flag"] = pd.period_range("2020-01", periods=N, freq="D"), pd.array([True, None] * (N // 2))
     refused(r"'visits' .visits. must have a number .* 150 of 300 rows .rows 2, 4, 6, ", rs.Catalog.from_table, frame)
     catalog = rs.Catalog.from_table(frame, fill={"visits": 3, "category": "none"})
-    assert catalog.visits[:2].tolist() == [1, 3]
-    assert catalog.category[:2].tolist() == ["sky_a", "none"]
+    assert (catalog.visits[:2].tolist(), catalog.category[:2].tolist()) == ([1, 3], ["sky_a", "none"])
 
 
 def test_the_index_of_a_dataframe_identifies_its_rows(frame):
@@ -155,14 +152,12 @@ def test_tables_of_arrow(frame):
     pa = pytest.importorskip("pyarrow")
     frame["visits"] = pd.array([1, None] * (N // 2), dtype="Int64")
     catalog = rs.Catalog.from_table(pa.Table.from_pandas(frame), fill={"visits": 2})
-    assert catalog.id.tolist() == frame["source_id"].tolist()
-    assert catalog.visits[:2].tolist() == [1, 2]
+    assert (catalog.id.tolist(), catalog.visits[:2].tolist()) == (frame["source_id"].tolist(), [1, 2])
 
 
 def test_structured_arrays():
     rows = np.array([(1.0, 2.0, 7)], dtype=[("ra", float), ("dec", float), ("id", int)])
-    assert rs.Catalog.from_table(rows).id.tolist() == [7]
-    assert len(rs.place_tiles(rows, "sdss_apo")) == 1
+    assert (rs.Catalog.from_table(rows).id.tolist(), len(rs.place_tiles(rows, "sdss_apo"))) == ([7], 1)
 
 
 def test_sexagesimal_text_may_have_a_unit(tmp_path):

@@ -39,8 +39,7 @@ def test_near_is_what_a_look_at_all_finds(rng, n, radius):
 
 def test_near_leaves_out_what_has_nothing_left(rng):
     index = SkyIndex(scattered(rng, 3000))
-    left = rng.integers(0, 3, len(index)).astype(np.uint8)
-    center = unit([10], [80])[0]
+    left, center = rng.integers(0, 3, len(index)).astype(np.uint8), unit([10], [80])[0]
     all_of_them, some = index.near(center, 0.5), index.near(center, 0.5, left)
     assert 0 < len(some) < len(all_of_them)
     assert np.array_equal(some, all_of_them[left[all_of_them] > 0])

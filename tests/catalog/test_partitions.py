@@ -29,8 +29,7 @@ TILES = SkyCoord([CENTER.spherical_offsets_by(x * u.deg, y * u.deg) for x, y in 
 @pytest.fixture(scope="module")
 def sky():
     catalog = rs.synthetic_catalog("poisson", CENTER, 8 * u.deg, n_targets=5000, rng=4)
-    n = len(catalog)
-    rng = np.random.default_rng(4)
+    n, rng = len(catalog), np.random.default_rng(4)
     return rs.Catalog(
         catalog.coord,
         id=[f"star {k}" for k in range(n)],
@@ -76,8 +75,7 @@ def test_the_same_survey_as_from_one_piece(folder, small):
 
 
 def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
-    read = []
-    real = pq.read_table
+    read, real = [], pq.read_table
     monkeypatch.setattr(
         pq,
         "read_table",
@@ -92,8 +90,7 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
 
 @pytest.mark.parametrize(("kept", "most"), [(10_000_000, 1), (1, 100)])
 def test_partitions_that_were_read_are_kept(folder, small, monkeypatch, kept, most):
-    read = []
-    source = _source.Partitioned(rs.catalog.PartitionedCatalog(folder, kept_rows=kept))
+    read, source = [], _source.Partitioned(rs.catalog.PartitionedCatalog(folder, kept_rows=kept))
     real = Partitions.part
     monkeypatch.setattr(Partitions, "part", lambda self, k: (read.append(k), real(self, k))[1])
     left = np.ones(len(source), dtype=np.uint8)
@@ -116,8 +113,7 @@ def test_tiles_are_placed_on_all_partitions(folder):
 
 def changes(sky):
     """Return catalogs that differ from another catalog in one value of one column."""
-    n = len(sky)
-    moved = sky.coord.dec.copy()
+    n, moved = len(sky), sky.coord.dec.copy()
     moved[17] += 1 * u.arcsec
     priority, kind, visits = sky.priority.copy(), sky.kind.copy(), sky.visits.copy()
     priority[17] = (priority[17] + 1) % 3
@@ -136,8 +132,7 @@ def changes(sky):
 def plain_partitions(catalog, folder):
     """Return partitions with uncompressed files without checksums, whose sizes do not depend on values."""
     with pytest.MonkeyPatch.context() as patch:
-        write = pq.write_table
-        plain = {"compression": "none", "use_dictionary": False}
+        write, plain = pq.write_table, {"compression": "none", "use_dictionary": False}
         patch.setattr(pq, "write_table", lambda table, path, **_: write(table, path, **plain))
         return rs.catalog.partition_catalog(catalog, folder, order=3)
 
@@ -200,8 +195,7 @@ def test_proper_motions_and_epochs(small, tmp_path):
     """A star as fast as Barnard's star moves into the field, out of the field, and out of its partition."""
     moving = SkyCoord(TILES[0].ra, TILES[0].dec, pm_ra_cosdec=0 * u.mas / u.yr, pm_dec=10_300 * u.mas / u.yr)
     catalog = rs.Catalog(moving.reshape(1), epoch=2000.0)
-    parts = rs.catalog.partition_catalog(catalog, tmp_path / "moving", order=9)
-    seen = []
+    parts, seen = rs.catalog.partition_catalog(catalog, tmp_path / "moving", order=9), []
     for epoch in (1720.0, 2000.0, 2290.0):
         there = TILES[0].spherical_offsets_by(0 * u.deg, (epoch - 2000) * 10_300 * u.mas).reshape(1)
         for where in (TILES[:1], there):
@@ -398,8 +392,7 @@ def test_properties_state_the_epoch_and_the_identifiers(tmp_path):
     for folder in (tmp_path, tmp_path / "dataset"):
         parts = rs.catalog.PartitionedCatalog(folder)
         for catalog in (parts.read(), parts.parts.part(0)):
-            assert catalog.id.tolist() == [7, 8]
-            assert catalog.epoch.jyear == 2016
+            assert (catalog.id.tolist(), catalog.epoch.jyear) == ([7, 8], 2016)
     path.write_text("hats_col_j2000_ra=ra\nhats_cols_survey_id=key other\n")
     assert rs.catalog.PartitionedCatalog(tmp_path).read().id.tolist() == [0, 1]
     for text, message in (

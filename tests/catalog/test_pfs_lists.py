@@ -16,8 +16,7 @@ def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times()
     catalog = rs.Catalog.from_table(target_list())
     assert catalog.priority.tolist() == [0, -1, -5, -9]
     assert not np.signbit(catalog.priority[0])
-    assert catalog.visits.tolist() == [1, 2, 3, 1]
-    assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
+    assert (catalog.visits.tolist(), catalog.id.tolist()) == ([1, 2, 3, 1], [4000, 4001, 4002, 4003])
     stated = "PFS targets: priority: priority (reversed sign), visits: exptime (divided by 900.0 s, rounded up)"
     assert catalog.meta["columns"].startswith(stated)
     timed = target_list(single_exptime=[450, 300, 1963.5, 900])
@@ -38,8 +37,7 @@ def test_lists_of_the_pointing_planner_of_pfs_are_recognized():
     for name in table.colnames[1:]:
         table.rename_column(name, f"ob_{name}")
     catalog = rs.Catalog.from_table(table)
-    assert catalog.priority.tolist() == [0, -1, -5, -9]
-    assert catalog.visits.tolist() == [1, 2, 3, 1]
+    assert (catalog.priority.tolist(), catalog.visits.tolist()) == ([0, -1, -5, -9], [1, 2, 3, 1])
     assert catalog.id.tolist() == ["ob0", "ob1", "ob2", "ob3"]
     table["ob_resolution"] = ["L", "M", "L", "L"]
     refused("--set catalog.select.ob_resolution=M", rs.Catalog.from_table, table)

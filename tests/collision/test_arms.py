@@ -47,8 +47,7 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
                 **again,
             ),
         ):
-            assert report.pairs.tolist() == pairs
-            assert report.obstacle_pairs.tolist() == hits
+            assert (report.pairs.tolist(), report.obstacle_pairs.tolist()) == (pairs, hits)
             np.testing.assert_array_equal(report.assigned, assigned)
             np.testing.assert_array_equal(report.counted, counted)
             assert np.flatnonzero(report.in_collision).tolist() == sorted({*np.ravel(pairs), *(i for i, _ in hits)})
@@ -86,8 +85,7 @@ def test_arms_of_another_focal_plane_are_refused():
 
 @given(st.integers(0, 2**32 - 1))
 def test_runs_are_the_neighbors_and_nothing_else(seed):
-    rng = np.random.default_rng(seed)
-    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
+    rng, unit = np.random.default_rng(seed), rs.Positioner(8 * MM, 8 * MM, 2 * MM)
     n = int(rng.integers(1, 40))
     xy = np.unique(rng.integers(0, 12, (n, 2)), axis=0) * rng.choice([9.0, 15.0, 25.0])
     plane = rs.FocalPlane(xy * MM, unit)

@@ -122,8 +122,7 @@ def test_joint_limits_hold_for_the_elbow_in_use():
 def test_nothing_to_count():
     plane = lamost_like(1)
     empty = rs.collision.count_collisions(plane, np.empty((0, 7, 2)) * MM)
-    assert len(empty) == 0
-    assert empty.per_positioner.tolist() == [0] * 7
+    assert (len(empty), empty.per_positioner.tolist()) == (0, [0] * 7)
     idle = rs.collision.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
     assert np.isnan(idle.rate).all()
     assert idle.n_pairs.tolist() == [0, 0]

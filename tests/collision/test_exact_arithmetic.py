@@ -60,10 +60,8 @@ def test_any_pair_is_decided_as_by_rationals(pair, limit):
 
 def test_almost_collinear_segments_do_not_cross():
     """The signs of all orientations of collinear segments are rounding errors, by which some pairs would cross."""
-    n = 60_000
-    rng = np.random.default_rng(4)
-    angle = rng.uniform(0, 2 * np.pi, n)
-    along = np.cumsum(rng.uniform(1, 10, (4, n)), axis=0)
+    n, rng = 60_000, np.random.default_rng(4)
+    angle, along = rng.uniform(0, 2 * np.pi, n), np.cumsum(rng.uniform(1, 10, (4, n)), axis=0)
     x, y = (
         start + along * u for start, u in zip(rng.uniform(-1, 1, (2, n)), (np.cos(angle), np.sin(angle)), strict=True)
     )
@@ -72,8 +70,7 @@ def test_almost_collinear_segments_do_not_cross():
         return (x[b] - x[a]) * (y[p] - y[a]) - (y[b] - y[a]) * (x[p] - x[a])
 
     assert ((turn(0, 1, 2) * turn(0, 1, 3) < 0) & (turn(2, 3, 0) * turn(2, 3, 1) < 0)).any()
-    segments = np.hstack([[x[0], y[0], x[1], y[1]], [x[2], y[2], x[3], y[3]]])
-    squared = np.empty(n)
+    segments, squared = np.hstack([[x[0], y[0], x[1], y[1]], [x[2], y[2], x[3], y[3]]]), np.empty(n)
     reference.all_pairs(segments, np.arange(n), np.arange(n, 2 * n), squared)
     np.testing.assert_allclose(np.sqrt(squared), along[2] - along[1], rtol=1e-12)
 

@@ -81,8 +81,7 @@ def test_a_long_capsule_has_more_neighbors():
     unit = rs.Positioner(4 * MM, 4 * MM, 1 * MM, arm_model="capsule", arm_length=10 * MM, arm_angle=30 * u.deg)
     plane = rs.FocalPlane([[0, 0], [28, 0]] * MM, unit)  # 2 (4 + 10) + 2 = 30 mm
     assert len(plane.neighbor_pairs()) == 1
-    arms = place_arms(plane, [[8, 0], [20, 0]] * MM)
-    turn = np.deg2rad(30)
+    arms, turn = place_arms(plane, [[8, 0], [20, 0]] * MM), np.deg2rad(30)
     np.testing.assert_allclose(arms.segments[0], [4, 0, 4 + 10 * np.cos(turn), 10 * np.sin(turn)], atol=1e-9)
 
 
@@ -97,8 +96,7 @@ def test_clipped_arms_point_to_their_target():
 
 def test_a_larger_clearance_never_removes_a_pair(rng):
     plane = sdss_like()
-    tips = random_tips(plane, rng)
-    before = set()
+    tips, before = random_tips(plane, rng), set()
     for clearance in (0, 0.5, 1.5, 2.5, 4):
         wider = replace(plane, positioner=replace(plane.positioner, clearance=clearance * MM))
         pairs = {tuple(p) for p in rs.find_collisions(wider, tips).pairs}
@@ -120,25 +118,20 @@ def test_parked_equal_arms_stand_in_the_way():
 
 
 def test_idle_unequal_arms_give_way():
-    plane = sdss_like(rings=1)
-    tips = np.full((7, 2), np.nan)
+    plane, tips = sdss_like(rings=1), np.full((7, 2), np.nan)
     tips[3] = plane.arrays.xy[3] + [15, 0]
     report = rs.find_collisions(plane, tips * MM)
-    assert len(report.pairs) == 0
-    assert report.counted.sum() == 1
+    assert (len(report.pairs), report.counted.sum()) == (0, 1)
     assert place_arms(plane, tips * MM).present.sum() == 1
 
 
 def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
-    base = sdss_like(rings=1)
-    stuck = np.full((7, 2), np.nan)
+    base, stuck = sdss_like(rings=1), np.full((7, 2), np.nan)
     stuck[4] = [180, 0]  # the arm is stretched toward the central positioner
-    plane = replace(base, stuck=stuck * u.deg)
-    tips = np.full((7, 2), np.nan)
+    plane, tips = replace(base, stuck=stuck * u.deg), np.full((7, 2), np.nan)
     tips[3] = base.arrays.xy[3] + [20, 0]
     report = rs.find_collisions(plane, tips * MM)
-    assert report.pairs.tolist() == [[3, 4]]
-    assert report.counted.tolist() == [False] * 3 + [True] + [False] * 3
+    assert (report.pairs.tolist(), report.counted.tolist()) == ([[3, 4]], [False] * 3 + [True] + [False] * 3)
     assert report.rate == 1
     arms = place_arms(replace(base, disabled=np.arange(7) == 4), tips * MM)
     assert arms.present.tolist() == [False] * 3 + [True, True] + [False] * 2
@@ -152,8 +145,7 @@ def test_obstacles_count():
     for x, n in ((13.0, 0), (12.999, 1)):
         plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[x, 0, 3], [50, 0, 3]] * MM)
         report = rs.find_collisions(plane, [[8, 0]] * MM)
-        assert len(report.obstacle_pairs) == n
-        assert report.in_collision.tolist() == [bool(n)]
+        assert (len(report.obstacle_pairs), report.in_collision.tolist()) == (n, [bool(n)])
     np.testing.assert_allclose(report.obstacle_distances.value, [1.999])
 
 
@@ -197,8 +189,7 @@ def test_the_capsule_is_turned_from_the_fiber():
 def test_nearest_distance_is_that_of_brute_force(rng):
     for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05)):
         arms = place_arms(plane, random_tips(plane, rng, part))
-        got = nearest_distance(plane, arms)
-        there = np.flatnonzero(arms.present)
+        got, there = nearest_distance(plane, arms), np.flatnonzero(arms.present)
         assert np.isnan(got[~arms.present]).all()
         for i in there:
             pairs = np.array([(i, j) for j in there if j != i]).reshape(-1, 2)

@@ -33,8 +33,7 @@ def sampled_distance(first, second, n):
 @pytest.mark.parametrize("method", METHODS_HERE)
 def test_all_methods_find_a_clear_collision_and_nothing_else(method):
     """Two stretched arms point toward each other, and a third arm is far from both."""
-    plane = sdss_like(rings=1)
-    tips = np.full((7, 2), np.nan)
+    plane, tips = sdss_like(rings=1), np.full((7, 2), np.nan)
     tips[2], tips[3], tips[4] = plane.arrays.xy[2] - [15, 0], plane.arrays.xy[3] + [10, 0], plane.arrays.xy[4] - [11, 1]
     report = rs.find_collisions(plane, tips * MM, method=method)
     assert report.pairs.tolist() == [[3, 4]]
@@ -237,8 +236,7 @@ def test_borderline_pairs_are_counted_and_settled():
     for gap, n in ((4.5, 0), (np.nextafter(4.5, 0), 1), (4.5 - 1e-9, 1), (4.5 + 1e-9, 0)):
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
         report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
-        assert len(report.pairs) == n
-        assert report.n_borderline == (abs(gap - 4.5) < 1e-10)
+        assert (len(report.pairs), report.n_borderline) == (n, abs(gap - 4.5) < 1e-10)
         counts = rs.collision.count_collisions(plane, [[[8, 0], [8, gap]]] * MM)
         assert (counts.n_pairs[0], counts.n_borderline[0]) == (n, report.n_borderline)
 
@@ -272,12 +270,10 @@ def test_arms_that_only_rounding_lets_touch():
     reach, separation = 3.398 + 4.381, unit.min_separation.value
     pitch = reach + reach + separation
     plane = rs.FocalPlane([[0, 0], [pitch, 0]] * MM, unit)
-    assert plane.collision_type == 1
-    assert len(plane.neighbor_pairs()) == 0
+    assert (plane.collision_type, len(plane.neighbor_pairs())) == (1, 0)
     report = rs.find_collisions(plane, [[reach, 0], [pitch - reach, 0]] * MM)
     assert (Fraction(pitch - reach) - Fraction(reach)) < Fraction(separation)
-    assert report.pairs.tolist() == [[0, 1]]
-    assert report.n_borderline == 1
+    assert (report.pairs.tolist(), report.n_borderline) == ([[0, 1]], 1)
 
 
 def test_almost_equal_arms_are_as_long_as_equal_ones():
@@ -290,13 +286,11 @@ def test_almost_equal_arms_are_as_long_as_equal_ones():
 
 def test_sweeping_misses_nothing_at_the_limit(rng):
     """The distance of parallel arms differs from D by a few units in the last place."""
-    unit = rs.Positioner(8 * MM, 8 * MM, 1.2345 * MM)
-    n_found = 0
+    unit, n_found = rs.Positioner(8 * MM, 8 * MM, 1.2345 * MM), 0
     for angle in rng.uniform(0, 2 * np.pi, 400):
         along = np.array([np.cos(angle), np.sin(angle)])
         gap = unit.min_separation.value * (1 + rng.integers(-3, 4) * 2.0**-53) * np.array([-along[1], along[0]])
-        plane = rs.FocalPlane([[0, 0], gap] * MM, unit)
-        tips = [16 * along, 16 * along + gap] * MM
+        plane, tips = rs.FocalPlane([[0, 0], gap] * MM, unit), [16 * along, 16 * along + gap] * MM
         exact, swept = (len(rs.find_collisions(plane, tips, method=m, n_points=2).pairs) for m in ("exact", "sweep"))
         assert exact <= swept
         n_found += exact
@@ -306,8 +300,7 @@ def test_sweeping_misses_nothing_at_the_limit(rng):
 def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     """For collision type 1, no pairs are tested and no poses are computed, but invalid tips are reported."""
     plane = rs.FocalPlane.hexagonal(rs.Positioner(8 * MM, 8 * MM, 1 * MM), rings=2, pitch=40 * MM)
-    assert plane.collision_type == 1
-    assert len(plane.arrays.neighbors) == 0
+    assert (plane.collision_type, len(plane.arrays.neighbors)) == (1, 0)
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
     monkeypatch.setattr("rfpsurvey.collision._find.pose_tips", None)
@@ -324,8 +317,7 @@ def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
 
 def test_pairs_do_not_depend_on_the_order_of_positioners(rng):
     for plane in (lamost_like(5), sdss_like(5)):
-        tips = random_tips(plane, rng, 0.9)
-        order = rng.permutation(len(plane))
+        tips, order = random_tips(plane, rng, 0.9), rng.permutation(len(plane))
         report = rs.find_collisions(plane, tips)
         shuffled = rs.find_collisions(
             replace(plane, xy=plane.xy[order], **dict.fromkeys(("id", "spectrograph", "fiber_type", "disabled"))),

@@ -42,8 +42,7 @@ def random_pairs(rng, n):
     offset = rng.uniform(-400, 400, (n, 2)) * (rng.random(n) < 0.5)[:, None]
     one[:, :2] += offset
     two[:, :2] += offset
-    separation = rng.uniform(0, 6, n) * (rng.random(n) < 0.95)
-    close = rng.random(n) < 0.5
+    separation, close = rng.uniform(0, 6, n) * (rng.random(n) < 0.95), rng.random(n) < 0.5
     for k in np.flatnonzero(close):
         least = least_distance(one[k], two[k], n=200, rounds=2)
         separation[k] = max(least + rng.choice([-1, 1]) * 10.0 ** rng.uniform(-9, -2), 0.0)
@@ -106,12 +105,10 @@ def test_folding_after_a_plan_is_checked_like_unfolding_to_it():
     plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, rs.Positioner(8 * MM, 17 * MM, 2 * MM))
     bad, good = [[16, -12], [14, 12]] * MM, [[-16, -12], [40, 12]] * MM
     assert len(rs.find_collisions(plane, bad).pairs) == 0
-    assert find_motion(plane, bad).pairs.tolist() == [[0, 1]]
-    assert len(find_motion(plane, good).pairs) == 0
+    assert (find_motion(plane, bad).pairs.tolist(), len(find_motion(plane, good).pairs)) == ([[0, 1]], 0)
     for arms, before in ((bad, good), (good, bad), (bad, bad)):
         report = find_motion(plane, arms, before=before)
-        assert report.pairs.tolist() == [[0, 1]]
-        assert report.needs_planner.tolist() == [True, True]
+        assert (report.pairs.tolist(), report.needs_planner.tolist()) == ([[0, 1]], [True, True])
     assert find_motion(plane, good, before=good).n_planner == 0
 
 
@@ -133,16 +130,14 @@ def test_folded_arms_that_can_touch_are_named():
     unit = rs.Positioner(8 * MM, 17 * MM, 2 * MM, phi_range=[0, 150] * u.deg)
     plane = rs.FocalPlane([[0, 0], [25, 0], [80, 0]] * MM, unit)  # folded arms extend to 10.9 mm
     report = find_motion(plane, [[-24, 0], [49, 0], [100, 0]] * MM)
-    assert report.touching.tolist() == [[0, 1]]
-    assert report.needs_planner.tolist() == [True, True, False]
+    assert (report.touching.tolist(), report.needs_planner.tolist()) == ([[0, 1]], [True, True, False])
 
 
 def test_folded_arms_turn_only_where_broken_arms_leave_space():
     """A stuck arm, which points at the center of its neighbor, leaves an arc to the folded arm of this neighbor."""
     unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM)
     plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=[[np.nan, np.nan], [180, 20]] * u.deg)
-    segment = rs.collision.place_arms(plane, [[np.nan] * 2] * 2 * MM).segments[1]
-    clear = []
+    segment, clear = rs.collision.place_arms(plane, [[np.nan] * 2] * 2 * MM).segments[1], []
     for theta in np.deg2rad(np.arange(360)):
         elbow = 8 * np.array([np.cos(theta), np.sin(theta)])
         one = np.array([elbow, elbow - 14 * elbow / 8])

@@ -87,8 +87,7 @@ def test_touching_a_polygon_is_decided_exactly():
 
 
 def test_methods_of_probability_agree_near_polygons():
-    plane = plane_of(SEGMENT)
-    targets = rs.probability.RandomTargets(number=150)
+    plane, targets = plane_of(SEGMENT), rs.probability.RandomTargets(number=150)
     found = [
         rs.collision_probability(plane, targets=targets, method=method, precision=0.004, rng=2)
         for method in ("conditional", "monte_carlo")

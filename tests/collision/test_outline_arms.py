@@ -87,12 +87,10 @@ def gap_of(first, second) -> float:
 
 def test_outlines_collide_as_in_shapely():
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=5, pitch=9.5 * u.mm)
-    limit = DESI_LIKE.min_separation.to_value(u.mm)
-    n_pairs = 0
+    limit, n_pairs = DESI_LIKE.min_separation.to_value(u.mm), 0
     for seed in range(4):
         plan = rs.allocate(plane, random_targets(plane, 400, seed), allocator="balanced")
-        arms = place_arms(plane, plan.tips)
-        report = rs.find_collisions(plane, plan)
+        arms, report = place_arms(plane, plan.tips), rs.find_collisions(plane, plan)
         shapes = {
             k: placed(DESI_LIKE, plane.arrays.xy[k], arms.elbow[k], arms.tip[k]) for k in np.flatnonzero(arms.present)
         }

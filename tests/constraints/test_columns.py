@@ -28,8 +28,7 @@ def petals(small):
 @pytest.fixture(scope="module")
 def sky(small):
     sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=400, rng=3)
-    rng = np.random.default_rng(4)
-    fraction = np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
+    rng, fraction = np.random.default_rng(4), np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
     return rs.Catalog(sky.coord, kind=np.where(rng.random(400) < fraction, "sky", "science"))
 
 
@@ -37,8 +36,7 @@ def sky(small):
 def test_every_petal_and_block_has_its_sky_fibers(sky, petals, allocator):
     asked = rs.AllocationOptions(allocator, requirements=["sky=2-4/petal", "sky=6/block"])
     tile = rs.plan_tile(sky, petals, CENTER, allocator=asked)
-    has_sky = np.asarray(tile.table["kind"]) == "sky"
-    groups = petals.focal_plane.groups
+    has_sky, groups = np.asarray(tile.table["kind"]) == "sky", petals.focal_plane.groups
     in_petal, in_block = (np.bincount(groups[name][has_sky], minlength=2) for name in ("petal", "block"))
     assert (in_petal >= 2).all()
     assert (in_block >= 6).all()

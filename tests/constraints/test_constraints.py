@@ -94,8 +94,7 @@ def test_anything_else_causes_an_error(wrong, words):
 
 
 def test_fields_of_a_constraint_are_read_with_their_types():
-    assert Faint.parse("17.5") == Faint(17.5)
-    assert Faint.parse("17 'g mag'") == Faint(17.0, "g mag")
+    assert (Faint.parse("17.5"), Faint.parse("17 'g mag'")) == (Faint(17.5), Faint(17.0, "g mag"))
     assert str(Faint(17.0, "g mag")) == "faint 17.0 'g mag'"
     for text in ("", "x", "1 a b", "1 'a"):
         refused("must have the form 'faint LIMIT COLUMN', got", Faint.parse, text)
@@ -116,8 +115,7 @@ def test_short_forms_and_constraints_are_the_same_options():
 
 def test_replaced_options_keep_or_drop_each_constraint_once():
     options = rs.AllocationOptions("optimal", constraints=["sky=2", "keep_out 95 23 0.01", Faint(17)])
-    assert options.record["constraints"] == ["faint 17 mag"]
-    assert options.record["requirements"] == ["sky=2"]
+    assert (options.record["constraints"], options.record["requirements"]) == (["faint 17 mag"], ["sky=2"])
     assert replace(options, allocator="lamost_rule").all_constraints == options.all_constraints
     assert replace(options, keep_out=()).all_constraints == (rs.Requirement("sky", 2), Faint(17))
     assert replace(options, requirements=()).counts == ()
@@ -157,8 +155,7 @@ def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monke
 
 
 def test_targets_near_directions_are_found():
-    vectors = np.array([[1, 0, 0], [np.cos(0.1), np.sin(0.1), 0], [np.nan] * 3])
-    none = np.zeros(3)
+    vectors, none = np.array([[1, 0, 0], [np.cos(0.1), np.sin(0.1), 0], [np.nan] * 3]), np.zeros(3)
     field = rs.constraints.ConstraintField(None, None, vectors, none, none, none, none, none, none, {})
     assert field.is_near(vectors[:1], 0.11).tolist() == [True, True, False]
     assert field.is_near(vectors[:1], 0.09).tolist() == [True, False, False]

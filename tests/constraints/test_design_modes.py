@@ -67,8 +67,7 @@ def outside(rows, band, low, high):
 @pytest.mark.parametrize("file", FILES)
 @pytest.mark.parametrize("mode", MODES)
 def test_each_number_of_a_design_mode_equals_an_independent_computation(file, mode, real_data):
-    path = real_data(file)
-    apo = rs.Instrument.preset("sdss_apo")
+    path, apo = real_data(file), rs.Instrument.preset("sdss_apo")
     tile = rs.score_tile(rs.plans.read_plan(path), apo, constraints=[*apo.rules(mode), *apo.rules("guiding")])
     check_numbers(tile, rows_of(path), mode, real_data)
 
@@ -87,8 +86,7 @@ def check_numbers(tile, rows, mode, real_data, bands=BANDS):
         for word, what in (("skies", "sky"), ("stds", "standard")):
             least = published[f"{name}_n_{word}_min"]
             if least > 0:
-                row = rules[f"{what}@{fiber}={least:.0f}"]
-                n = sum(kind(one) == what for one in own)
+                row, n = rules[f"{what}@{fiber}={least:.0f}"], sum(kind(one) == what for one in own)
                 assert (row["number"], row["verdict"]) == (n, "pass" if n >= least else "fail")
                 n_checked += 1
             parameters = published[f"{name}_min_{word}_fovmetric"]
@@ -167,8 +165,7 @@ def test_the_numbers_of_a_field_without_magnitudes_equal_an_independent_computat
         "y_wok": "yFocal",
     }
     rows = [{new: row[old] for old, new in names.items()} | {"fiberId": -1} for row in table[table["assigned"] == 1]]
-    rows = [{**row, "h_mag": np.nan} for row in rows]
-    apo = presets["sdss_apo"]
+    rows, apo = [{**row, "h_mag": np.nan} for row in rows], presets["sdss_apo"]
     tile = rs.score_tile(table, apo, constraints=[*apo.rules(mode), *apo.rules("guiding")])
     assert len(rows) == tile.summary["n_assigned"]
     check_numbers(tile, rows, mode, real_data, bands=())

@@ -159,8 +159,7 @@ def test_other_allocators_only_check_the_rule(field, small, allocator):
 def test_a_rule_that_no_plan_can_follow_changes_nothing(field, small, allocator):
     """Otherwise, ``optimal`` would assign no science targets, because a rule on no fibers is met."""
     kind = np.where(np.arange(len(field)) == np.flatnonzero(field.kind == "sky")[0], "sky", "science")
-    sky = rs.Catalog(field.coord, kind=kind)
-    found = []
+    sky, found = rs.Catalog(field.coord, kind=kind), []
     for rules in (["distribution sky 2 50 60"], []):
         options = rs.AllocationOptions(allocator, constraints=[*rules, "sky=1"])
         found.append(rs.plan_tile(sky, small, CENTER, allocator=options))
@@ -174,8 +173,7 @@ def test_the_rule_is_followed_in_crowded_fields(small):
     sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=12_000, rng=3)
     rng = np.random.default_rng(4)
     kind = np.where(rng.random(12_000) < 0.01, "sky", "science")
-    catalog = rs.Catalog(sky.coord, kind=kind, priority=rng.integers(0, 3, 12_000))
-    found = {}
+    catalog, found = rs.Catalog(sky.coord, kind=kind, priority=rng.integers(0, 3, 12_000)), {}
     for rules in ([], ["distribution sky 1 95 30"]):
         options = rs.AllocationOptions("optimal", constraints=rules, time_limit=5 * u.s)
         found[len(rules)] = rs.plan_tile(catalog, small, CENTER, allocator=options)

@@ -24,8 +24,7 @@ def requirements(draw):
 
 @given(requirements())
 def test_a_requirement_is_read_as_it_is_written(one):
-    assert rs.Requirement.parse(str(one)) == one
-    assert rs.Requirement.parse(f"  {one} ") == one
+    assert (rs.Requirement.parse(str(one)), rs.Requirement.parse(f"  {one} ")) == (one, one)
     assert repr(one) == f"Requirement({str(one)!r})"
 
 
@@ -103,8 +102,7 @@ def test_a_shortfall_is_a_sentence(one, sentence):
 
 def test_sentences_put_spectrographs_together():
     rows = [short(place=k, per="spectrograph") for k in range(16)]
-    numbers = ", ".join(map(str, range(16)))
-    head = "sky targets, 5 in each spectrograph:"
+    numbers, head = ", ".join(map(str, range(16))), "sky targets, 5 in each spectrograph:"
     assert sentences(rows) == [f"{head} 48 missing in 16 spectrographs ({numbers})"]
     rows.append(short(place=16, per="spectrograph"))
     assert sentences(rows) == [f"{head} 51 missing in 17 spectrographs ({numbers}, ...)"]

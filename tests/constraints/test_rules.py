@@ -176,8 +176,7 @@ def field_of(coord, extra, kind=None, xy=None, fiber_type=None):
 
 @pytest.mark.parametrize("seed", range(10))
 def test_a_distribution_counts_science_fibers_with_neighbors(seed):
-    rng = np.random.default_rng(seed)
-    n = 60
+    rng, n = np.random.default_rng(seed), 60
     kind, fiber = rng.choice(["science", "sky"], n, p=[0.8, 0.2]), rng.choice(["A", "B"], n)
     xy, has = rng.uniform(0, 100, (n, 2)), rng.random(n) < 0.8
     field = field_of(SkyCoord(np.zeros(n), np.zeros(n), unit="deg"), {}, kind, xy, fiber)
@@ -218,8 +217,7 @@ def test_stars_outside_the_field_exclude_targets_at_its_edge(sky, small):
     free = plan(sky, small, None, "nearest").table
     free = free[free["status"] == "assigned"]
     coord = SkyCoord(free["ra"], free["dec"])
-    k = np.argmax(coord.separation(CENTER))
-    edge = 1.02 * small.field_radius
+    k, edge = np.argmax(coord.separation(CENTER)), 1.02 * small.field_radius
     star = CENTER.directional_offset_by(CENTER.position_angle(coord[k]), edge)
     radius = (star.separation(coord[k]) * 1.01).to_value(u.arcsec)
     assert radius > (edge - small.field_radius).to_value(u.arcsec)

@@ -41,8 +41,7 @@ class SkyInQuadrants(rs.constraints.Constraint):
 def sky(small):
     """Return targets of which most sky positions are in one half of the field."""
     sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=400, rng=3)
-    rng = np.random.default_rng(4)
-    fraction = np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
+    rng, fraction = np.random.default_rng(4), np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
     return rs.Catalog(sky.coord, kind=np.where(rng.random(400) < fraction, "sky", "science"))
 
 

@@ -76,8 +76,7 @@ def test_positions_of_fibers_and_angles_back(name):
 
 
 def test_nominal_planes_have_the_kinematics_of_their_positioner():
-    plane = rs.Instrument.preset("lamost").focal_plane
-    rng = np.random.default_rng(0)
+    plane, rng = rs.Instrument.preset("lamost").focal_plane, np.random.default_rng(0)
     theta, phi = rng.uniform(-180, 180, len(plane)) * DEG, rng.uniform(1, 179, len(plane)) * DEG
     xy = plane.forward(theta, phi)
     np.testing.assert_allclose((xy - plane.xy).value, plane.positioner.forward(theta, phi).value, atol=1e-10)
@@ -87,10 +86,8 @@ def test_nominal_planes_have_the_kinematics_of_their_positioner():
 
 def test_reach_of_each_fiber_type():
     plane, rng = random_plane(), np.random.default_rng(2)
-    points = rng.uniform(-25, 180, (300, 2))
-    types = rng.choice(["A", "B", ""], 300)
-    found = plane.reachable(points * MM, types).toarray()
-    first = plane.arrays.first_type
+    points, types = rng.uniform(-25, 180, (300, 2)), rng.choice(["A", "B", ""], 300)
+    found, first = plane.reachable(points * MM, types).toarray(), plane.arrays.first_type
     for i, (center, l1, names) in enumerate(
         zip(plane.xy.value, plane.central_arm.value, plane.fiber_type.tolist(), strict=True)
     ):
@@ -104,8 +101,7 @@ def test_reach_of_each_fiber_type():
 
 def test_collisions_of_arms_along_their_mechanical_axis():
     plane, rng = random_plane(), np.random.default_rng(3)
-    n = len(plane)
-    types = np.array([rng.choice(row.split("+")) for row in plane.fiber_type])
+    n, types = len(plane), np.array([rng.choice(row.split("+")) for row in plane.fiber_type])
     n_found = 0
     for _ in range(20):
         theta, phi = rng.uniform(-180, 180, n), rng.uniform(0, 170, n)
@@ -134,8 +130,7 @@ def test_collisions_of_arms_along_their_mechanical_axis():
 @pytest.mark.parametrize("allocator", ["nearest", "balanced", "network_flow", "repair", "optimal"])
 def test_tiles_are_those_of_the_same_instrument_without_columns(allocator, zero_points):
     zero = np.random.default_rng(0).uniform(-170, 170, (N, 2)) * [1, 0.01] * DEG if zero_points else None
-    built = same_as_preset(zero_points=zero)
-    center = rs.example_catalog("anticenter").coord[0]
+    built, center = same_as_preset(zero_points=zero), rs.example_catalog("anticenter").coord[0]
     catalog = rs.synthetic_catalog("uniform", center, 1.5 * DEG, n_targets=700, rng=1)
     catalog = replace(catalog, fiber_type=np.random.default_rng(2).choice(["BOSS", "APOGEE", ""], len(catalog)))
     options = rs.AllocationOptions(allocator, requirements=["sky=5"], sky_separation=0.2 * u.arcmin)
@@ -156,8 +151,7 @@ def test_tiles_are_those_of_the_same_instrument_without_columns(allocator, zero_
 
 def test_counts_and_methods_agree_with_the_same_instrument_without_columns():
     built, rng = same_as_preset().focal_plane, np.random.default_rng(4)
-    plane = APO.focal_plane
-    r = np.sqrt(rng.uniform(8**2, 22**2, (6, N)))
+    plane, r = APO.focal_plane, np.sqrt(rng.uniform(8**2, 22**2, (6, N)))
     angle = rng.uniform(0, 2 * np.pi, (6, N))
     tips = plane.xy.value + np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1)
     types = np.where(rng.random(N) < 0.5, plane.arrays.first_type, [row.split("+")[-1] for row in plane.fiber_type])
@@ -173,8 +167,7 @@ def test_counts_and_methods_agree_with_the_same_instrument_without_columns():
 
 @pytest.mark.parametrize("method", ["conditional", "monte_carlo", "quadrature", "closed_form"])
 def test_probabilities_agree_with_the_same_instrument_without_columns(method):
-    ring = np.hypot(*APO.focal_plane.xy.value.T) < 70
-    values = []
+    ring, values = np.hypot(*APO.focal_plane.xy.value.T) < 70, []
     for plane in (APO.focal_plane, same_as_preset().focal_plane):
         columns = {"fiber_type": plane.fiber_type[ring], "id": plane.id[ring]}
         places = plane.fiber_xy and {name: place[ring] for name, place in plane.fiber_xy.items()}
@@ -280,8 +273,7 @@ def test_columns_that_are_refused(columns, message):
 
 
 def test_kinematics_refuse_bad_input():
-    plane = random_plane()
-    angles = np.zeros(60) * DEG
+    plane, angles = random_plane(), np.zeros(60) * DEG
     with pytest.raises(rs.InputError, match="theta and phi must have the shape .60,., got .3,. and .60,."):
         plane.forward(np.zeros(3) * DEG, angles)
     refused("fiber type must be one of A, B, M|'C'", plane.forward, angles, angles, "C")
@@ -317,8 +309,7 @@ def test_plans_use_the_place_of_each_fiber(allocator):
 def test_idle_arms_do_not_depend_on_the_fiber_type_that_is_named():
     angles = np.full((60, 2), np.nan) * DEG
     angles[7] = [20, 80] * DEG
-    plane = random_plane(stuck=angles)
-    nowhere = np.full((60, 2), np.nan) * MM
+    plane, nowhere = random_plane(stuck=angles), np.full((60, 2), np.nan) * MM
     for name in ("A", "B"):
         assert len(rs.find_collisions(plane, nowhere, fiber_type=np.full(60, name)).pairs) == 0
         posed = place_arms(plane, nowhere, fiber_type=np.full(60, name))

@@ -25,8 +25,7 @@ def test_coverage_is_that_of_an_exact_overlay(l1, l2):
 
 
 def test_multiplicity_counts_annuli():
-    design = plane(5.0, 14.0)
-    xy = np.random.default_rng(3).uniform(-60, 60, (500, 2))
+    design, xy = plane(5.0, 14.0), np.random.default_rng(3).uniform(-60, 60, (500, 2))
     truth = [sum(in_annulus(point, center, 5.0, 14.0) for center in design.xy.value) for point in xy]
     np.testing.assert_array_equal(design.multiplicity(xy * MM), truth)
     assert design.multiplicity([[np.nan, 0.0]] * MM).tolist() == [0]

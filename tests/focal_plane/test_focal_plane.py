@@ -78,8 +78,7 @@ def test_collision_type(pitch, kind):
 
 
 def test_neighbor_pairs_are_those_of_brute_force(rng):
-    xy = rng.uniform(-100, 100, (120, 2))
-    arms = rng.uniform(3, 12, (120, 2))
+    xy, arms = rng.uniform(-100, 100, (120, 2)), rng.uniform(3, 12, (120, 2))
     plane = rs.FocalPlane(xy * MM, robot(), central_arm=arms[:, 0] * MM, eccentric_arm=arms[:, 1] * MM)
     reach = arms.sum(axis=1)
     expected = [
@@ -145,8 +144,7 @@ def test_reach_respects_fiber_types_disabled_and_stuck_units():
 def test_reach_respects_joint_limits(hand, rng):
     limits = {"theta_range": [-30, 120] * u.deg, "phi_range": [-150, 150] * u.deg, "handedness": hand}
     unit = robot(7.4, 15.0, **limits)
-    plane = rs.FocalPlane([[3, 4]] * MM, unit)
-    xy = rng.uniform(-25, 25, (400, 2)) + [3, 4]
+    plane, xy = rs.FocalPlane([[3, 4]] * MM, unit), rng.uniform(-25, 25, (400, 2)) + [3, 4]
     expected = np.isfinite(unit.inverse((xy - [3, 4]) * MM)[0].value)
     np.testing.assert_array_equal(plane.reachable(xy * MM).toarray()[0], expected)
     assert 0 < expected.sum() < brute_force(plane, xy).sum()

@@ -50,8 +50,7 @@ def arm(plane, own, point, hand="right", kind=None):
     r, direction = np.hypot(*(point - center)), np.arctan2(*(point - center)[::-1])
     bend = np.arccos(np.clip((l1**2 + r**2 - l2**2) / (2 * l1 * r), -1, 1))
     theta = direction - bend if hand == "right" else direction + bend
-    elbow = center + l1 * np.array([np.cos(theta), np.sin(theta)])
-    tip = np.array(point)
+    elbow, tip = center + l1 * np.array([np.cos(theta), np.sin(theta)]), np.array(point)
     if plane.positioner.arm_model == "capsule":
         turn = plane.positioner.arm_angle[kind].to_value(u.rad) + np.arctan2(*(tip - elbow)[::-1])
         tip = elbow + plane.positioner.arm_length.value * np.array([np.cos(turn), np.sin(turn)])
@@ -167,8 +166,7 @@ def test_no_allocator_violates_the_margins(name, handedness):
 def test_the_optimum_is_that_of_the_problem_without_the_forbidden_pairs(rows):
     """An independent way to the same optimum: no margins, but a list of pairs that shapely forbids."""
     plane, points = scene(UNEQUAL)
-    points = points[rows]
-    margined = replace(plane, margins=rs.Margins(broken=2 * u.mm))
+    points, margined = points[rows], replace(plane, margins=rs.Margins(broken=2 * u.mm))
     limit = UNEQUAL.min_separation.value + 2
     forbidden = [(i, k) for i, k in sorted(pairs_of(plane, points)) if gaps_to_broken(plane, i, points[k]) <= limit]
     ways = ((margined, {}), (plane, {"forbidden": forbidden}), (plane, {}))
@@ -195,8 +193,7 @@ def test_the_margin_of_arms_is_added_to_the_clearance(robot):
     wider = replace(plane, positioner=replace(robot, clearance=robot.clearance + 0.3 * u.mm))
     margined = replace(plane, margins=rs.Margins(arms=0.3 * u.mm))
     rng, found = np.random.default_rng(3), []
-    own = sorted(pairs_of(plane, points))
-    tips = np.full((200, 7, 2), np.nan)
+    own, tips = sorted(pairs_of(plane, points)), np.full((200, 7, 2), np.nan)
     for k in range(2, 7):
         tips[:, k] = points[rng.choice([t for i, t in own if i == k], 200)]
     for one in (wider, margined, plane):
@@ -259,8 +256,7 @@ def test_values_that_are_not_margins(margins, text):
 
 
 def test_margins_that_leave_no_patrol_area():
-    zero = [[0, 0], [0, 0]] * u.deg
-    xy = [[0, 0], [40, 0]] * u.mm
+    zero, xy = [[0, 0], [0, 0]] * u.deg, [[0, 0], [40, 0]] * u.mm
     with pytest.raises(rs.InputError, match="area of positioner 0 is from 0 to 6 mm, got outer 4 mm, inner 2.5 mm"):
         rs.FocalPlane(xy, EQUAL, margins=rs.Margins(outer=4 * u.mm, inner=2.5 * u.mm))
     limits = [[150, 180], [np.nan, np.nan]] * u.deg

@@ -72,8 +72,7 @@ def test_the_mirror_image_has_the_same_poses_as_the_preset(tmp_path, presets):
 def test_joint_angles_are_those_of_desimodel_with_the_opposite_sign(folder):
     """The forward kinematics of desimeter in CS5 is x = R1 cos(t) + R2 cos(t + p), with t = POS_T + OFFSET_T."""
     table = Table.read(next(folder.glob("desi-focalplane*")), format="ascii.ecsv")[:-1]
-    plane = rs.Instrument.from_desi(folder).focal_plane
-    rng = np.random.default_rng(4)
+    plane, rng = rs.Instrument.from_desi(folder).focal_plane, np.random.default_rng(4)
     t, p = rng.uniform(-180, 180, len(table)), rng.uniform(5, 175, len(table))
     a = np.deg2rad(t + table["OFFSET_T"].value)
     b = a + np.deg2rad(p + table["OFFSET_P"].value)
@@ -113,8 +112,7 @@ def test_the_last_event_before_a_time_applies(folder):
 @partial
 def test_a_restricted_positioner_reaches_less(folder):
     before, after = (rs.Instrument.from_desi(folder, time=t).focal_plane for t in ("2022-06-01", None))
-    k = np.flatnonzero(after.id == 1005)[0]
-    away = np.linspace(0.5, 5.9, 100)
+    k, away = np.flatnonzero(after.id == 1005)[0], np.linspace(0.5, 5.9, 100)
     points = after.xy[k] + np.column_stack([away, 0 * away]) * u.mm
     reach = [np.diff(plane.reachable(points).T.tocsr()[:, [k]].indptr).astype(bool) for plane in (before, after)]
     r1, r2 = after.arrays.central_arm[k], after.arrays.eccentric_arm[k]

@@ -147,8 +147,7 @@ def test_an_instrument_of_ones_own(tmp_path):
     path = tmp_path / "mine.toml"
     path.write_text(textwrap.dedent(DESCRIPTION))
     mine = rs.Instrument.read(path)
-    assert mine.layout == "as built"
-    assert len(mine.focal_plane) == 19
+    assert (mine.layout, len(mine.focal_plane)) == ("as built", 19)
     assert mine.focal_plane.positioner.outer_radius == 8 * u.mm
     assert mine.plate_scale.to_value(u.mm / u.deg) == pytest.approx(216)
 
@@ -246,11 +245,9 @@ def test_descriptions_of_a_later_form_are_refused(tmp_path):
 
 def test_copies_for_other_processes_leave_out_what_is_computed():
     """Regression: plain arrays of 3 MB for 5000 positioners were copied to each process of a survey."""
-    center = SkyCoord(95, 23, unit="deg")
-    desi = rs.Instrument.preset("desi")
+    center, desi = SkyCoord(95, 23, unit="deg"), rs.Instrument.preset("desi")
     sky = rs.synthetic_catalog("uniform", center, 1 * u.deg, n_targets=5000, rng=1)
-    sizes = [len(pickle.dumps(one)) for one in (desi, sky)]
-    tile = rs.plan_tile(sky, desi, center)
+    sizes, tile = [len(pickle.dumps(one)) for one in (desi, sky)], rs.plan_tile(sky, desi, center)
     assert "arrays" in vars(sky)
     assert "arrays" in vars(desi.focal_plane)
     np.testing.assert_allclose([len(pickle.dumps(one)) for one in (desi, sky)], sizes, atol=200)

@@ -72,11 +72,9 @@ def test_no_arm_reaches_a_fiducial_or_a_camera(presets, name):
 
 def test_modules_in_a_list_in_a_file_and_in_groups(tmp_path):
     """One group of four modules, described in three ways."""
-    own = 73.8 / np.sqrt(3) + 0.3
-    shift = (2 * 73.8 + np.sqrt(3) * 5.0) / np.sqrt(3)
+    own, shift = 73.8 / np.sqrt(3) + 0.3, (2 * 73.8 + np.sqrt(3) * 5.0) / np.sqrt(3)
     x = [0.0, own * np.cos(np.pi / 6), -own * np.cos(np.pi / 6), 0.0]
-    y = [shift, shift + own / 2, shift + own / 2, shift - own]
-    up = [1, 0, 0, 0]
+    y, up = [shift, shift + own / 2, shift + own / 2, shift - own], [1, 0, 0, 0]
     Table({"x": x, "y": y, "points_up": up}).write(tmp_path / "modules.csv")
     Table({"x": np.divide(x, 1000) * u.m, "y": y * u.mm, "rotation": [0, np.pi, np.pi, np.pi] * u.rad}).write(
         tmp_path / "m.ecsv"
@@ -87,8 +85,7 @@ def test_modules_in_a_list_in_a_file_and_in_groups(tmp_path):
         for value in ('"modules.csv"', '"m.ecsv"', f"[{rows}]")
     ]
     for plane in found:
-        assert len(plane) == 252
-        assert plane.id[[0, 62, 63]].tolist() == [101, 163, 201]
+        assert (len(plane), plane.id[[0, 62, 63]].tolist()) == (252, [101, 163, 201])
         np.testing.assert_allclose(plane.xy.value, found[0].xy.value, atol=1e-9)
     six = read(tmp_path, LATTICE + GROUPS + 'group_radius = { value = 100, unit = "mm" }').focal_plane
     apart, _ = cKDTree(six.xy.value).query(found[0].xy.value)

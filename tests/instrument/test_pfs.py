@@ -38,12 +38,10 @@ def model(tmp_path_factory):
 def test_a_folder_with_dots_is_recognized_and_read(folder):
     pfs = rs.Instrument.read(folder)
     plane = pfs.focal_plane
-    assert pfs.layout == "as built"
-    assert pfs.name == "pfs"
+    assert (pfs.layout, pfs.name) == ("as built", "pfs")
     assert plane.id.tolist() == list(range(1, 2395))
     np.testing.assert_allclose(plane.xy.value, centers(), atol=1e-9)
-    assert len(plane.arrays.hidden) == 2394
-    assert len(plane.arrays.obstacles) == 95
+    assert (len(plane.arrays.hidden), len(plane.arrays.obstacles)) == (2394, 95)
     assert "58" in pfs.notes
     assert "1 cobras have limits" in pfs.notes
     np.testing.assert_allclose(pfs.values["layout.dot_offset"]["value"], OFFSET, atol=1e-6)
@@ -354,8 +352,7 @@ def test_the_real_files_agree_with_each_other(real_data):
 def test_a_planned_tile_uses_no_target_behind_a_dot(folder):
     pfs, center = rs.Instrument.read(folder), SkyCoord(150 * u.deg, 2 * u.deg)
     sky = rs.synthetic_catalog("uniform", center, pfs.field_radius, n_targets=4000, rng=3)
-    tile = rs.plan_tile(sky, pfs, center)
-    arrays = pfs.focal_plane.arrays
+    tile, arrays = rs.plan_tile(sky, pfs, center), pfs.focal_plane.arrays
     assert arrays.is_hidden(np.column_stack([tile.outcomes["x"].value, tile.outcomes["y"].value])).sum() > 50
     taken = tile.table[tile.table["status"] == "assigned"]
     assert len(taken) > 1000

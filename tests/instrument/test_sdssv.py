@@ -64,8 +64,7 @@ def test_the_instrument_combines_the_files_with_the_preset(folder):
     assert plane.fiber_type[row_of(plane, "R-1C13")] == "BOSS"
     assert (plane.fiber_type == "BOSS+APOGEE").sum() == 6
     assert_array_equal(plane.obstacles.value, [[-10.5, -45, 3]])
-    assert inst.distortion["BOSS"].coefficients[0] == 1.3
-    assert inst.distortion["APOGEE"].radius == 8939 * u.mm
+    assert (inst.distortion["BOSS"].coefficients[0], inst.distortion["APOGEE"].radius) == (1.3, 8939 * u.mm)
     assert inst.distortion["BOSS"].factor == preset.distortion["BOSS"].factor
     assert inst.requirements == preset.requirements
     assert "layout.pitch" not in inst.values
@@ -97,8 +96,7 @@ def test_only_two_files_are_required(folder):
 
 def test_las_campanas_takes_the_other_preset(tmp_path):
     inst = rs.Instrument.read(sdssv_files.calibration(tmp_path / "lco", site="LCO"))
-    assert inst.name == "sdss_lco"
-    assert inst.distortion["BOSS"].max_angle == 1.1 * u.deg
+    assert (inst.name, inst.distortion["BOSS"].max_angle) == ("sdss_lco", 1.1 * u.deg)
 
 
 def test_robots_with_missing_values_are_disabled_and_named(tmp_path):
@@ -137,8 +135,7 @@ def test_impossible_values_of_robots_count_as_missing(tmp_path, column, value, i
     folder = sdssv_files.calibration(tmp_path / "codes", positionerTable=changed("R0C13", **{column: value}))
     inst = rs.Instrument.read(folder)
     plane, k = inst.focal_plane, row_of(inst.focal_plane, "R0C13")
-    assert plane.disabled[k] == is_disabled
-    assert plane.disabled.sum() == is_disabled
+    assert (plane.disabled[k], plane.disabled.sum()) == (is_disabled, is_disabled)
     assert is_disabled or plane.fiber_type[k] == "APOGEE"
     assert plane.arrays.outer_radius.max() < 25
     assert f"{column} = {value} in row 5" in inst.notes
@@ -380,8 +377,7 @@ NO_ANGLES = {*("R-12C5", "R-10C5", "R-5C8", "R-2C17", "R0C1"), *("R+3C5", "R+9C5
 def test_robots_without_angles_are_those_whose_target_is_out_of_reach_as_built(real_data):
     plan = rs.plans.read_plan(real_data("sdssv_apo_2024/confSummary-test.par.gz"))
     tile = rs.score_tile(plan, rs.Instrument.read(real_data("sdssv_apo_2024")))
-    assert set(tile["id"][tile["status"] == "out_of_reach"]) == NO_ANGLES
-    assert tile.summary["n_assigned"] == 500
+    assert (set(tile["id"][tile["status"] == "out_of_reach"]), tile.summary["n_assigned"]) == (NO_ANGLES, 500)
     nominal = warned("arms are nominal: score the plan with the instrument as built", rs.score_tile, plan, "sdss_apo")
     assert nominal.summary["n_out_of_reach"] == 2
 

@@ -107,8 +107,7 @@ def test_dates_have_many_forms(small, dates):
 def test_a_table_of_identifiers_lists_broken_positioners(presets):
     apo = presets["sdss_apo"].with_states(Table({"id": ["R+3C5", "R0C1"]}))
     assert apo.focal_plane.id[apo.focal_plane.disabled].tolist() == ["R0C1", "R+3C5"]
-    assert summary_of(apo) == ["a table", None, 2, 0, 0, 0]
-    assert apo.provenance["values"]["states.broken"] == 2
+    assert (summary_of(apo), apo.provenance["values"]["states.broken"]) == (["a table", None, 2, 0, 0, 0], 2)
     assert apo.provenance["digest"] != presets["sdss_apo"].provenance["digest"]
 
 
@@ -123,8 +122,7 @@ def test_a_broken_arm_is_an_obstacle_in_its_pose(small):
     plane = small.focal_plane
     i, j = (int(k) for k in plane.neighbor_pairs()[0])
     towards = plane.arrays.xy[i] - plane.arrays.xy[j]
-    angle = np.rad2deg(np.arctan2(*towards[::-1]))
-    tips = plane.xy.copy()
+    angle, tips = np.rad2deg(np.arctan2(*towards[::-1])), plane.xy.copy()
     tips[:] = np.nan
     tips[i] = plane.xy[i] - 12 * u.mm * towards / np.hypot(*towards)
     for pose, n in (([angle, 0], 1), ([np.nan, np.nan], 0)):
@@ -283,8 +281,7 @@ def test_a_table_changes_the_states_of_desi_as_built(tmp_path):
     rows = {"id": [1003, 2004], "state": ["ok", "stuck"], "theta": [np.nan, -10], "phi": [np.nan, -100]}
     plane = log.with_states(Table(rows)).focal_plane
     ids = plane.id
-    assert ids[plane.disabled].tolist() == [1]
-    assert ids[plane.arrays.is_stuck].tolist() == [1, 2004]
+    assert (ids[plane.disabled].tolist(), ids[plane.arrays.is_stuck].tolist()) == ([1], [1, 2004])
     assert_allclose(plane.stuck.to_value(u.deg)[np.isin(ids, [1, 2004])], [[-1, -90], [-10, -100]])
     assert_array_equal(plane.arrays.usable, ~np.isin(ids, [1, 2004]))
 

@@ -41,8 +41,7 @@ def images_by_astropy(conditions, basis, vectors, times):
         return np.moveaxis(coord[None].transform_to(frame).cartesian.xyz.value, 0, -1)
 
     near = observed(np.vstack([basis[2], around]), conditions.guide_wavelength)
-    targets = observed(vectors, conditions.wavelength)
-    found = []
+    targets, found = observed(vectors, conditions.wavelength), []
     for center, ring_seen, seen in zip(near[:, 0], near[:, 1:], targets, strict=True):
         x = np.cross(center, [0.6, 0.48, 0.64])
         x /= np.linalg.norm(x)
@@ -69,8 +68,7 @@ def test_the_mean_and_the_drift_of_long_exposures_agree_with_dense_quadrature(si
     )
     zenith = SkyCoord(AltAz(az=0 * u.deg, alt=90 * u.deg, obstime=time, location=conditions.site)).icrs
     center = zenith.directional_offset_by(100 * u.deg, 90 * u.deg - hours * 7.5 * u.deg - lowest * u.deg)
-    basis = field_basis(center.ra.rad, center.dec.rad, 0.3)
-    turn = np.arange(8) * np.pi / 4
+    basis, turn = field_basis(center.ra.rad, center.dec.rad, 0.3), np.arange(8) * np.pi / 4
     vectors = basis[2] + 0.025 * (np.cos(turn)[:, None] * basis[0] + np.sin(turn)[:, None] * basis[1])
     vectors /= np.linalg.norm(vectors, axis=1)[:, None]
     field = ObservedField(basis, 1.0, None, conditions)

@@ -45,8 +45,7 @@ def test_each_model_adds_one_effect(presets):
     }
     assert list(expected) == list(MODELS)
     targets = CENTER.directional_offset_by(np.arange(0, 360, 30) * u.deg, 1.2 * u.deg)
-    vectors = targets.cartesian.xyz.value.T
-    images = {}
+    vectors, images = targets.cartesian.xyz.value.T, {}
     for name, plane_of_model in expected.items():
         field, record = choose_projection(instrument, plane, conditions, name)
         assert record["model"] == name
@@ -71,8 +70,7 @@ def patrol_edges(instrument):
 @pytest.mark.parametrize("name", rs.available_instruments())
 def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets, name):
     """Regression: the maxima were taken over the centers of positioners, and were up to 23 % too small."""
-    instrument = presets[name]
-    waves = WAVES if name.startswith("sdss") else 0.54 * u.um
+    instrument, waves = presets[name], WAVES if name.startswith("sdss") else 0.54 * u.um
     conditions = conditions_at(wavelength=waves, guide_wavelength=0.65 * u.um)
     instant = conditions.without_exposure
     result = rs.instrument.compare_projections(instrument, CENTER, conditions)
@@ -295,8 +293,7 @@ def test_conditions_are_read_from_a_file(tmp_path):
     assert rs.ObservingConditions.read(path).record == expected.record
     path.write_text('site = [10, 20, 30]\ntime = 2024-05-10T05:00:00\npressure = "0 hPa"')
     read = rs.ObservingConditions.read(path)
-    assert read.time == Time("2024-05-10T05:00:00")
-    assert read.record["latitude_deg"] == pytest.approx(20)
+    assert (read.time, read.record["latitude_deg"]) == (Time("2024-05-10T05:00:00"), pytest.approx(20))
     assert rs.ObservingConditions.read(path, hour_angle=1 * u.deg).time is None
     for text, message in (
         ("sight = 5\n", "unknown key of .* 'sight'.* Did you mean 'site'"),

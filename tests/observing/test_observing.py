@@ -29,8 +29,7 @@ def offline():
 
 def around(center, radius, n=60, seed=1):
     """Return unit vectors of random directions within a radius (rad) of a unit vector."""
-    rng = np.random.default_rng(seed)
-    x = np.cross(center, [0.6, 0.48, 0.64])
+    rng, x = np.random.default_rng(seed), np.cross(center, [0.6, 0.48, 0.64])
     x /= np.linalg.norm(x)
     y = np.cross(center, x)
     r, turn = np.tan(radius) * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
@@ -88,8 +87,7 @@ def test_fields_at_the_pole_and_elsewhere_agree_with_astropy_to_1_mas(dec):
 
 def check_against_astropy(conditions, center):
     basis = field_basis(center.ra.rad, center.dec.rad, 0.3)
-    targets = around(basis[2], np.deg2rad(1.6))
-    field = ObservedField(basis, 1.0, None, conditions)
+    targets, field = around(basis[2], np.deg2rad(1.6)), ObservedField(basis, 1.0, None, conditions)
     xy = field.project(targets)
     seen = local(to_coord(targets).transform_to(frame_of(conditions, conditions.wavelength)))
     middle = local(to_coord(basis[2:]).transform_to(frame_of(conditions, conditions.guide_wavelength)))[0]
@@ -98,8 +96,7 @@ def check_against_astropy(conditions, center):
     np.testing.assert_allclose(np.arctan(np.hypot(*xy.T)), angle, rtol=0, atol=MAS)
     flat = seen / (seen @ middle)[:, None] - middle
     turn = np.angle(np.vdot(flat @ field.frames[0][0] + 1j * (flat @ field.frames[0][1]), xy @ [1, 1j]))
-    ours = xy @ [1, 1j]
-    theirs = flat @ field.frames[0][0] + 1j * (flat @ field.frames[0][1])
+    ours, theirs = xy @ [1, 1j], flat @ field.frames[0][0] + 1j * (flat @ field.frames[0][1])
     np.testing.assert_allclose(abs(turn), 0, atol=1e-9)
     np.testing.assert_allclose(np.abs(ours - theirs), 0, atol=MAS)
 
@@ -112,10 +109,8 @@ def test_refraction_at_an_hour_angle_is_that_of_spherical_trigonometry(hour, dec
     """
     conditions = rs.ObservingConditions("kitt peak", hour_angle=hour * u.hourangle, wavelength=0.6 * u.um)
     a, b = erfa.refco(conditions.pressure.value, 10.0, 0.2, 0.6)
-    latitude = conditions.site.lat.rad
-    basis = field_basis(0.7, dec, 0.0)
-    targets = around(basis[2], 0.02)
-    zenith_lon = 0.7 + np.deg2rad(15 * hour)
+    latitude, basis = conditions.site.lat.rad, field_basis(0.7, dec, 0.0)
+    targets, zenith_lon = around(basis[2], 0.02), 0.7 + np.deg2rad(15 * hour)
     zenith = np.array([np.cos(latitude) * np.cos(zenith_lon), np.cos(latitude) * np.sin(zenith_lon), np.sin(latitude)])
 
     def raised(vectors):
@@ -196,8 +191,7 @@ def test_fiber_types_are_displaced_by_dispersion_toward_the_zenith(presets):
 
 @pytest.mark.parametrize("when", [{"time": TIME}, {"hour_angle": EAST}])
 def test_the_field_does_not_rotate_in_the_mean(when):
-    conditions = rs.ObservingConditions("apache point", **when)
-    basis = field_basis(3.3, 0.4, 0.5)
+    conditions, basis = rs.ObservingConditions("apache point", **when), field_basis(3.3, 0.4, 0.5)
     turn = np.linspace(0, 2 * np.pi, 100, endpoint=False)
     targets = basis[2] + 1e-3 * (np.cos(turn)[:, None] * basis[0] + np.sin(turn)[:, None] * basis[1])
     targets /= np.linalg.norm(targets, axis=1)[:, None]
@@ -217,8 +211,7 @@ def test_an_exposure_gives_the_mean_positions(presets):
             basis, 1e4, None, rs.ObservingConditions("paranal", hour_angle=hours * u.hourangle, **more)
         )
 
-    long = at(3.0, exposure_time=1 * u.hour).project(targets)
-    rate = 1.00273781191135448
+    long, rate = at(3.0, exposure_time=1 * u.hour).project(targets), 1.00273781191135448
     moments = (np.arange(40) + 0.5) / 40 - 0.5
     mean = np.mean([at(3.0 + rate * moment).project(targets) for moment in moments], axis=0)
     np.testing.assert_allclose(long, mean, rtol=0, atol=2e-5)
@@ -226,8 +219,7 @@ def test_an_exposure_gives_the_mean_positions(presets):
 
 
 def test_the_plane_states_altitude_azimuth_and_rotation():
-    conditions = conditions_at(exposure_time=30 * u.min)
-    center = SkyCoord("14h +52d")
+    conditions, center = conditions_at(exposure_time=30 * u.min), SkyCoord("14h +52d")
     plane = rs.Instrument.preset("sdss_apo").projection(center, 30 * u.deg, conditions)
     assert isinstance(plane, ObservedPlane)
     seen = center.transform_to(frame_of(conditions, conditions.guide_wavelength))
@@ -281,10 +273,8 @@ def test_positions_of_a_sdssv_configuration_are_reproduced(real_data, scale):
 
     folder = real_data("sdssv_apo_2024")
     plan = read_plan(folder / "confSummary-test.par.gz")
-    instrument = rs.Instrument.from_sdssv(folder)
-    conditions = sdssv_conditions(scale)
-    site = conditions.site
-    center = SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
+    instrument, conditions = rs.Instrument.from_sdssv(folder), sdssv_conditions(scale)
+    site, center = conditions.site, SkyCoord(plan.meta["racen"], plan.meta["deccen"], unit="deg")
     for kind, n, bound in (("BOSS", 483, 0.003), ("APOGEE", 7, 0.01)):
         part = plan[((np.asarray(plan["fiber_type"]) == kind) & (np.asarray(plan["on_target"]) == 1))]
         assert len(part) == n
@@ -419,16 +409,13 @@ def test_a_sdssv_configuration_is_scored_from_its_positions_on_the_sky(real_data
 
     folder = real_data("sdssv_apo_2024")
     plan = read_plan(folder / "confSummary-test.par.gz")
-    plan = plan[np.asarray(plan["on_target"]) == 1]
-    instrument = rs.Instrument.from_sdssv(folder)
-    conditions = sdssv_conditions()
-    place = {"positions": "sky", "position_angle": 0.0916 * u.deg}
+    plan, instrument = plan[np.asarray(plan["on_target"]) == 1], rs.Instrument.from_sdssv(folder)
+    conditions, place = sdssv_conditions(), {"positions": "sky", "position_angle": 0.0916 * u.deg}
     place |= {"columns": {"ra": "ra_fiber", "dec": "dec_fiber"}, "units": {"ra": "deg", "dec": "deg"}}
     given = rs.score_tile(plan, instrument)
     rows = {name: row for row, name in enumerate(given["id"].astype(str))}
     rows = [rows[name] for name in plan["positioner"].astype(str)]
-    wok = np.column_stack([given["tip_x"].value, given["tip_y"].value])[rows]
-    left = {}
+    wok, left = np.column_stack([given["tip_x"].value, given["tip_y"].value])[rows], {}
     for name, seen in (("static", None), ("observed", conditions)):
         tile = rs.score_tile(plan, instrument, conditions=seen, **place)
         left[name], *_ = similarity(np.column_stack([tile["tip_x"].value, tile["tip_y"].value])[rows], wok)

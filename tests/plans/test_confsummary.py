@@ -30,8 +30,7 @@ def built(tmp_path):
 
 
 def assert_same(one, other):
-    assert one.colnames == other.colnames
-    assert one.meta == other.meta
+    assert (one.colnames, one.meta) == (other.colnames, other.meta)
     for name in one.colnames:
         a, b = np.asarray(one[name]), np.asarray(other[name])
         assert a.dtype.kind == b.dtype.kind, name
@@ -45,11 +44,9 @@ def files_in(folder):
 def test_the_common_columns_are_those_of_the_file(path):
     plan = plans.read_plan(path)
     assert plans.is_plan(plan)
-    assert len(plan) == 21
-    assert plan.meta["instrument"] == "sdss_apo"
+    assert (len(plan), plan.meta["instrument"]) == (21, "sdss_apo")
     assert [plan.meta[name] for name in ("racen", "deccen", "position_angle")] == [120.0, 30.0, 60.0]
-    assert plan.meta["epoch"] == "J2024.317591"
-    assert plan.meta["header"]["configuration_id"] == "7"
+    assert (plan.meta["epoch"], plan.meta["header"]["configuration_id"]) == ("J2024.317591", "7")
     first = plan[1]
     assert (first["positioner"], first["fiber_type"], first["kind"]) == ("R-1C13", "BOSS", "sky")
     assert (first["target_id"], first["ra"], first["dec"]) == (27021597909966377, 120 * u.deg, 30 * u.deg)
@@ -57,8 +54,7 @@ def test_the_common_columns_are_those_of_the_file(path):
     assert_array_equal(np.unique(plan["target_id"][~plan["assigned"]]), [-1])
     assert np.isnan(plan["ra"][~plan["assigned"]].value).all()
     assert plan["kind"][plan["assigned"]].tolist() == ["sky", "standard", "sky", "science", "science", "science"]
-    assert plan["theta"].unit == u.deg
-    assert plan["theta"][3].value == np.float32(43)
+    assert (plan["theta"].unit, plan["theta"][3].value) == (u.deg, np.float32(43))
 
 
 def test_files_without_wok_coordinates_are_rotated_by_the_position_angle(tmp_path, path):
@@ -74,8 +70,7 @@ def test_a_plan_scores_without_options(path, built):
     tile = rs.score_tile(plan, built)
     assert tile.summary["n_assigned"] == 6
     assert tile.summary["n_out_of_reach"] == tile.summary["n_wrong_fiber"] == 0
-    rows = tile.table[tile.table["status"] == "assigned"]
-    own = plan[plan["assigned"]]
+    rows, own = tile.table[tile.table["status"] == "assigned"], plan[plan["assigned"]]
     order = [own["positioner"].tolist().index(hole) for hole in rows["id"].tolist()]
     for name in ("theta", "phi"):
         assert_allclose(rows[name].value, own[name].value[order], atol=1e-4)
@@ -224,8 +219,7 @@ def test_reading_issues_no_warning_of_pydl(path):
 def test_formats_are_recognized_by_content(tmp_path, path):
     other = tmp_path / "configuration.txt"
     other.write_bytes(gzip.compress(path.read_bytes()))
-    assert plans.recognize_plan(other) == "confsummary"
-    assert len(plans.read_plan(other)) == 21
+    assert (plans.recognize_plan(other), len(plans.read_plan(other))) == ("confsummary", 21)
     other.write_text("#%yanny\n")
     assert plans.recognize_plan(other) is None
     refused("must be a plan in one of the formats", plans.read_plan, other)

@@ -44,8 +44,7 @@ def assert_same(one, other):
 
 
 def test_the_common_columns_are_those_of_the_file(path):
-    plan = plans.read_plan(path)
-    native = fits.getdata(path, "FIBERASSIGN")
+    plan, native = plans.read_plan(path), fits.getdata(path, "FIBERASSIGN")
     assert_array_equal(plan["positioner"], native["LOCATION"])
     assert_array_equal(plan["target_id"], native["TARGETID"])
     assert_array_equal(plan["x"].to_value(u.mm), -native["FIBERASSIGN_X"])
@@ -55,8 +54,7 @@ def test_the_common_columns_are_those_of_the_file(path):
     assert_array_equal(plan["priority"], native["PRIORITY"])
     assert_array_equal(plan["SUBPRIORITY"], native["SUBPRIORITY"])
     assert plan["FLUX_G"].unit.to_string() == "nanomaggy"
-    bits = native["FA_TYPE"]
-    names = {0: "", 1: "science", 2: "standard", 3: "science+standard"}
+    bits, names = native["FA_TYPE"], {0: "", 1: "science", 2: "standard", 3: "science+standard"}
     kind = np.where((bits & 20) > 0, "sky", [names[one] for one in (bits & 3).tolist()])
     assert_array_equal(plan["kind"], kind)
     # stuck positioners and broken fibers have no target; restricted positioners (8) can have one
@@ -64,8 +62,7 @@ def test_the_common_columns_are_those_of_the_file(path):
     assert plan["assigned"][3]
     meta = {"format": "fiberassign", "instrument": "desi", "racen": 170.239, "deccen": -7.093, "epoch": "J2015.500"}
     assert meta.items() <= plan.meta.items()
-    assert plan.meta["position_angle"] == -0.0210480650645507
-    assert plan.meta["header"]["TILEID"] == 4403
+    assert (plan.meta["position_angle"], plan.meta["header"]["TILEID"]) == (-0.0210480650645507, 4403)
     assert plan.meta["header"]["FAARGS"] == ("--doclean n --dr dr9 " * 8).strip()
     assert "NAXIS2" not in plan.meta["header"]
 
@@ -113,11 +110,9 @@ def test_sky_positions_agree_with_those_on_the_focal_plane(tmp_path, presets):
 
 
 def test_a_plan_can_be_scored(path, built):
-    tile = rs.score_tile(plans.read_plan(path), built)
-    native = fits.getdata(path, "FIBERASSIGN")
+    tile, native = rs.score_tile(plans.read_plan(path), built), fits.getdata(path, "FIBERASSIGN")
     used = ~np.isin(native["FIBERSTATUS"], (1, 2, 4))
-    assert tile.summary["n_assigned"] == used.sum()
-    assert tile.summary["n_out_of_reach"] == 0
+    assert (tile.summary["n_assigned"], tile.summary["n_out_of_reach"]) == (used.sum(), 0)
     assert_array_equal(tile.table["target_id"][used], native["TARGETID"][used])
 
 
@@ -133,8 +128,7 @@ def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     tile = rs.plan_tile(sky, built, center, position_angle=10 * u.deg, allocator="lamost_rule")
     warned("without the columns theta, phi", plans.write_plan, tile, tmp_path / "tile.fits", format="fiberassign")
     plan = plans.read_plan(tmp_path / "tile.fits")
-    assert plan.meta["position_angle"] == 10
-    assert plan.meta["racen"] == 170
+    assert (plan.meta["position_angle"], plan.meta["racen"]) == (10, 170)
     again = rs.score_tile(plan, built)
     for name in ("id", "status", "in_collision", "colliding_with"):
         assert_array_equal(tile.table[name], again.table[name], name)
@@ -145,8 +139,7 @@ def test_a_tile_that_is_written_scores_the_same(tmp_path, built):
     assert (native["TARGETID"][~has] < 0).all()
     assert len(np.unique(native["TARGETID"])) == len(native)
     assert_array_equal(native["PETAL_LOC"] * 1000 + native["DEVICE_LOC"], native["LOCATION"])
-    assert native["TARGETID"].dtype == ">i8"
-    assert native["FIBERASSIGN_X"].dtype == ">f4"
+    assert (native["TARGETID"].dtype, native["FIBERASSIGN_X"].dtype) == (">i8", ">f4")
     assert set(native["OBJTYPE"]) <= {"TGT", ""}
     assert set(native["REF_EPOCH"]) == {2026.5}
 
@@ -157,9 +150,7 @@ def test_changes_of_a_plan_are_written(path, tmp_path):
     plan["x"][6] = 12.5 * u.mm
     plans.write_plan(plan, tmp_path / "new.fits", format="fiberassign")
     native, before = fits.getdata(tmp_path / "new.fits", 1), fits.getdata(path, 1)
-    assert native["FIBERSTATUS"][4] == 1
-    assert native["OBJTYPE"][5] == "SKY"
-    assert native["FA_TYPE"][5] == 4
+    assert (native["FIBERSTATUS"][4], native["OBJTYPE"][5], native["FA_TYPE"][5]) == (1, "SKY", 4)
     assert native["FIBERASSIGN_X"][6] == -12.5
     assert (native["FIBERSTATUS"] != before["FIBERSTATUS"]).sum() == 1
     again = plans.read_plan(tmp_path / "new.fits")
@@ -213,8 +204,7 @@ def test_columns_with_the_names_of_common_columns_are_kept(tmp_path):
 
     desi_files.tile(tmp_path / "a.fits", per_petal=FEW, edit=edit)
     plan = plans.read_plan(tmp_path / "a.fits")
-    assert plan["assigned"].dtype == bool
-    assert plan["assigned_in_file"][0] == "text"
+    assert (plan["assigned"].dtype, plan["assigned_in_file"][0]) == (bool, "text")
     plan["assigned"][plan["assigned"]] = False
     plans.write_plan(plan, tmp_path / "b.fits")
     assert not plans.read_plan(tmp_path / "b.fits")["assigned"].any()
@@ -332,8 +322,7 @@ def test_plans_that_the_format_cannot_represent_are_refused(path, tmp_path, pres
 
 def test_a_tile_of_the_real_focal_plane_is_written_and_scored(tmp_path, real_data, tycho):
     desi = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
-    center = SkyCoord(95 * u.deg, 23 * u.deg)
-    stars = rs.Catalog.read(tycho)
+    center, stars = SkyCoord(95 * u.deg, 23 * u.deg), rs.Catalog.read(tycho)
     tile = rs.plan_tile(rs.Catalog(stars.coord, id=np.arange(len(stars))), desi, center, allocator="lamost_rule")
     warned("cannot hold", plans.write_plan, tile, tmp_path / "tile.fits.gz", format="fiberassign")
     again = rs.score_tile(plans.read_plan(tmp_path / "tile.fits.gz"), desi)

@@ -20,8 +20,7 @@ ALLOCATORS = ("nearest", "lamost_rule", "repair", "optimal", "network_flow")
 
 def random_case(seed, presets):
     """Return an instrument with a few positioners, some of them stuck or disabled, and targets around them."""
-    rng = np.random.default_rng(seed)
-    name = sorted(presets)[seed % len(presets)]
+    rng, name = np.random.default_rng(seed), sorted(presets)[seed % len(presets)]
     plane = presets[name].focal_plane
     rows = np.sort(np.argsort(np.hypot(*(plane.xy.value - plane.xy.value[rng.integers(len(plane))]).T))[:60])
     stuck = np.where(rng.uniform(size=(60, 1)) < 0.1, rng.uniform(0, 180, (60, 2)), np.nan)

@@ -106,9 +106,7 @@ def test_the_recorded_plan_of_a_field_of_sdssv_observes_492_of_its_494_targets(r
     found = judged(scene, Table(rows=scene.settings["recorded"], names=("positioner", "target")))
     assert found["assigned"] == 494
     assert found["standard"] + found["sky"] == 492
-    assert found["colliding"] == 1
-    assert found["pairs"] == 0
-    assert found["wrong"] == {"out of reach": 1}
+    assert (found["colliding"], found["pairs"], found["wrong"]) == (1, 0, {"out of reach": 1})
 
 
 CONFIGURATIONS_SDSSV = [
@@ -171,8 +169,7 @@ def test_the_judge_refuses_files_in_one_sentence(presets, tmp_path, monkeypatch,
 def test_idle_arms_can_be_ignored_on_the_command_line(presets, tmp_path, monkeypatch, capsys):
     """A parked arm stands in the way of the arm at a target between them."""
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm, home=[180, 0] * u.deg)
-    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, unit)
-    targets = Table({"x": [9.0], "y": [0.0]})
+    plane, targets = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, unit), Table({"x": [9.0], "y": [0.0]})
     instrument = rs.Instrument("pair", plane, plate_scale=1 * u.mm / u.arcsec)
     scenes.scene_of(instrument, targets, name="pair").write(tmp_path / "pair.fits")
     Table({"positioner": plane.id[:1], "target": [0]}).write(tmp_path / "plan.ecsv")

@@ -34,8 +34,7 @@ def sky(instrument, n=2000, **columns):
 @pytest.mark.parametrize("kind", KINDS)
 def test_priorities_of_a_fiberassign_file_keep_their_order_and_values(desi, tmp_path, kind):
     """Priorities from 0.25 to 1 became 0, 0, 0 and 1; large and missing ones became -2147483648."""
-    tile = rs.plan_tile(sky(desi, priority=KINDS[kind]), desi, CENTER)
-    path = tmp_path / "tile.fits"
+    tile, path = rs.plan_tile(sky(desi, priority=KINDS[kind]), desi, CENTER), tmp_path / "tile.fits"
     if kind == "integers":
         plans.write_plan(tile, path, format="fiberassign")
     else:
@@ -140,8 +139,7 @@ def test_a_plan_of_a_tile_is_scored_from_the_sky_as_it_was_planned(tmp_path, pre
     center = CENTER.transform_to(FK5(equinox="J2026"))
     tile = rs.plan_tile(sky(instrument, 400), instrument, center, position_angle=30 * u.deg, **options)
     plans.write_plan(tile, path, format=form)
-    plan = plans.read_plan(path)
-    planned = tile.provenance["parameters"]
+    plan, planned = plans.read_plan(path), tile.provenance["parameters"]
     assert plan.meta.get("conditions") == planned["conditions"]
     plans.write_plan(plan, tmp_path / f"again-{name}", format=form)
     again = plans.read_plan(tmp_path / f"again-{name}")

@@ -47,9 +47,7 @@ def same(one, other):
 def test_columns_of_all_kinds_are_kept(tmp_path):
     """Columns of further types, and with the names of columns of a plan, ended with a traceback or replaced them."""
     plan = plans.read_plan(with_columns(write_design(tmp_path / "d.fits"), "DESIGN", COLUMNS))
-    assert plan["kind"][0] == "science"
-    assert plan["kind_in_file"][0] == "other"
-    assert plan["x"].unit == u.mm
+    assert (plan["kind"][0], plan["kind_in_file"][0], plan["x"].unit) == ("science", "other", u.mm)
     for name in ("e.fits", "e.ecsv"):
         plans.write_plan(plan, tmp_path / name)
         again = plans.read_plan(tmp_path / name)

@@ -23,26 +23,19 @@ def assert_same(one, two):
         assert a.dtype == b.dtype, name
         assert one[name].unit == two[name].unit
         np.testing.assert_array_equal(a, b, err_msg=name)
-    assert list(one.meta) == list(two.meta)
-    assert repr(one.meta) == repr(two.meta)
+    assert (list(one.meta), repr(one.meta)) == (list(two.meta), repr(two.meta))
 
 
 def test_a_design_is_recognized_and_read(tmp_path):
     path = write_design(tmp_path / "d.fits")
     assert rs.plans.recognize_plan(path) == "pfsdesign"
     plan = rs.plans.read_plan(path)
-    assert plan["positioner"][:3].tolist() == [1, 2, 3]
-    assert plan["positioner"][-1] == -1
+    assert (plan["positioner"][:3].tolist(), plan["positioner"][-1]) == ([1, 2, 3], -1)
     assert plan["kind"][:6].tolist() == ["science", "science", "sky", "standard", "", "science"]
-    assert plan["assigned"].sum() == 48
-    assert plan["target_id"][0] == 10**15 + 1
-    assert plan["x"].unit == u.mm
-    assert plan["fiberId"][0] == pfs_fibers()[0][0]
-    assert plan["psfFlux"].shape == (61, 2)
-    assert plan["psfFlux"].unit == u.nJy
-    assert plan["filterName"][-1].tolist() == ["", ""]
-    assert plan.meta["racen"] == 150.0
-    assert plan.meta["position_angle"] == PFI_ANGLE
+    assert (plan["assigned"].sum(), plan["target_id"][0], plan["x"].unit) == (48, 10**15 + 1, u.mm)
+    assert (plan["fiberId"][0], plan["psfFlux"].shape) == (pfs_fibers()[0][0], (61, 2))
+    assert (plan["psfFlux"].unit, plan["filterName"][-1].tolist()) == (u.nJy, ["", ""])
+    assert (plan.meta["racen"], plan.meta["position_angle"]) == (150.0, PFI_ANGLE)
     assert plan.meta["header"]["DSGN_NAM"] == "test"
     assert plan.meta["guide_stars"]["columns"]["agX"] == [1.5, 2.0, 3.0]
 
@@ -82,8 +75,7 @@ def test_a_design_that_was_stored_as_ecsv_can_be_written_unchanged(tmp_path):
 def test_the_real_design_is_preserved_to_the_byte(real_data, tmp_path):
     path = real_data(REAL)
     plan = rs.plans.read_plan(path)
-    assert len(plan) == 2458
-    assert plan["assigned"].sum() == 2082
+    assert (len(plan), plan["assigned"].sum()) == (2458, 2082)
     rs.plans.write_plan(plan, tmp_path / "pfsDesign-0x2a3e0e7f53f47587.fits")
     assert_same(plan, rs.plans.read_plan(tmp_path / "pfsDesign-0x2a3e0e7f53f47587.fits"))
     assert fits.FITSDiff(path, tmp_path / "pfsDesign-0x2a3e0e7f53f47587.fits").identical
@@ -127,10 +119,8 @@ def test_newer_columns_are_used(tmp_path):
         "obCode": np.array([f"ob{k}" for k in range(n)]),
     }
     plan = rs.plans.read_plan(write_design(tmp_path / "d.fits", design(**more)))
-    assert plan["positioner"][:2].tolist() == [60, 59]
-    assert plan["positioner"][-1] == -1
-    assert plan["pm_ra"][0] == 1.5 * u.mas / u.yr
-    assert plan.meta["epoch"] == "J2016.0"
+    assert (plan["positioner"][:2].tolist(), plan["positioner"][-1]) == ([60, 59], -1)
+    assert (plan["pm_ra"][0], plan.meta["epoch"]) == (1.5 * u.mas / u.yr, "J2016.0")
     rs.plans.write_plan(plan, tmp_path / "e.fits")
     assert_same(plan, rs.plans.read_plan(tmp_path / "e.fits"))
 
@@ -175,8 +165,7 @@ def test_a_tile_becomes_a_design_with_the_same_assignment_and_collisions(presets
     path = tmp_path / "d.fits"
     warned("without the columns theta, phi", rs.plans.write_plan, tile, path, format="pfsdesign")
     plan = rs.plans.read_plan(path)
-    assert len(plan) == 2394 + 64
-    assert plan["fiberId"].tolist() == sorted(plan["fiberId"].tolist())
+    assert (len(plan), plan["fiberId"].tolist()) == (2394 + 64, sorted(plan["fiberId"].tolist()))
     np.testing.assert_allclose(plan.meta["position_angle"], 30, atol=1e-6)
     header = fits.getheader(path)
     assert header["W_PFDSGN"] == plan.meta["rows_id"]
@@ -259,8 +248,7 @@ def test_damaged_designs_are_refused_with_one_sentence(tmp_path, damage, message
 
 @pytest.mark.parametrize("fraction", [0.0, 0.1, 0.5, 0.87])
 def test_truncated_designs_are_refused(tmp_path, fraction):
-    content = write_design(tmp_path / "d.fits").read_bytes()
-    path = tmp_path / "e.fits"
+    content, path = write_design(tmp_path / "d.fits").read_bytes(), tmp_path / "e.fits"
     path.write_bytes(content[: int(fraction * len(content))])
     with pytest.raises(InputError, match="cut off|empty|end with the card END|multiple of 2880") as caught:
         rs.plans.read_plan(path, format="pfsdesign")

@@ -29,8 +29,7 @@ def test_plans_of_the_example_are_written_read_and_scored(laboratory, presets, t
     assert len(found) == 1
     assert rs.plans.recognize_plan(path) == "lab"
     plan = rs.plans.read_plan(path)
-    assert plan.meta["format"] == "lab"
-    assert plan["assigned"].sum() == tile.summary["n_assigned"]
+    assert (plan.meta["format"], plan["assigned"].sum()) == ("lab", tile.summary["n_assigned"])
     score = rs.score_tile(plan, presets["moons"])
     assert score.summary["n_assigned"] == tile.summary["n_assigned"]
     assert abs(score.table["tip_x"] - tile.table["tip_x"])[score.table["status"] == "assigned"].max() < 1e-9 * u.mm
@@ -56,8 +55,7 @@ def test_optional_names_of_a_format_are_used(install, presets, tmp_path):
     tile = rs.plan_tile(rs.example_catalog(), presets["moons"], position_angle=20 * u.deg)
     plan = rs.plans.as_plan(tile)
     plan.meta["format"] = "hooked"
-    n = tile.summary["n_assigned"]
-    rule = rs.constraints.MagnitudeLimits("band", 16, 20, "science")
+    n, rule = tile.summary["n_assigned"], rs.constraints.MagnitudeLimits("band", 16, 20, "science")
     with pytest.warns(rs.RfpsurveyWarning, match="colors are neglected") as caught:
         score = rs.score_tile(plan, presets["moons"], constraints=[rule])
     assert len(caught) == 1
@@ -93,8 +91,7 @@ def test_an_ending_can_have_several_parts_and_a_format_no_instrument(install, pr
     example = dedent(re.search(r"\n\n((?:    .*\n|\n)+)", section)[1]).replace('(".lab",)', '(".plain.csv",)')
     example = example.replace('.suffix == ".lab"', '.name.endswith(".plain.csv")').replace('"instrument": "lab", ', "")
     install("laboratory", example + HERE, plan_formats={"lab": "HERE"})
-    tile = rs.plan_tile(rs.example_catalog(), presets["moons"])
-    path = tmp_path / "plan.plain.csv"
+    tile, path = rs.plan_tile(rs.example_catalog(), presets["moons"]), tmp_path / "plan.plain.csv"
     rs.plans.write_plan(tile, path)
     assert rs.plans.recognize_plan(path) == "lab"
     with pytest.raises(rs.InputError, match=r"must end in one of .ecsv, .fits, .par, .plain.csv \(or with .gz\)"):

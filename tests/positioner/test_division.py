@@ -11,8 +11,7 @@ import rfpsurvey as rs
 
 def random_polygon(rng, n: int) -> np.ndarray:
     """Return the vertices of a star-shaped polygon around the origin, most of which is not convex."""
-    angle = np.sort(rng.uniform(0, 2 * np.pi, n))
-    radius = rng.uniform(0.3, 3, n)
+    angle, radius = np.sort(rng.uniform(0, 2 * np.pi, n)), rng.uniform(0.3, 3, n)
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 

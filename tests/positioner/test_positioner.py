@@ -65,8 +65,7 @@ def test_joint_limits_cut_the_patrol_area_and_both_hands_widen_it():
     theta, phi = robot(phi_range=[30, 180] * u.deg).inverse([[22.3, 0], [15, 0]] * MM)
     assert np.isnan(theta[0].value)
     assert phi[1].value >= 30
-    quarter = {"theta_range": [-10, 100] * u.deg}
-    xy = [[0, 15.0], [15, 0], [-15, 0]] * MM
+    quarter, xy = {"theta_range": [-10, 100] * u.deg}, [[0, 15.0], [15, 0], [-15, 0]] * MM
     right, left, both = (robot(handedness=h, **quarter).inverse(xy)[0].value for h in ("right", "left", "both"))
     np.testing.assert_array_equal(np.isfinite(both), np.isfinite(right) | np.isfinite(left))
     assert np.isfinite(right).tolist() == [True, False, False]

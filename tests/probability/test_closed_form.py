@@ -78,8 +78,7 @@ def test_the_first_two_rings_take_part():
     """
     plane = sdss_like(3)
     middle = np.hypot(*plane.xy.value.T).argmin()
-    full = rs.collision_probability(plane, method="closed_form").per_positioner[middle]
-    parts = []
+    full, parts = rs.collision_probability(plane, method="closed_form").per_positioner[middle], []
     for low, high in ((0.5, 1.5), (1.5, 2.5), (2.5, 9)):  # in pitches
         r = np.hypot(*plane.xy.value.T) / 22.4
         ring = rs.FocalPlane(plane.xy[((r > low) & (r < high)) | (r == 0)], plane.positioner)
@@ -171,10 +170,7 @@ def test_formulas_have_no_error(method):
     got = rs.collision_probability(lamost_like(2), method=method)
     for field in ("low", "high", "standard_error", "n_effective", "pairs_per_positioner"):
         assert np.isnan(getattr(got, field))
-    assert got.value == got.value_assigned
-    assert got.n == 0
-    assert got.estimand == "independent"
-    assert got.method == method
+    assert (got.value, got.n, got.estimand, got.method) == (got.value_assigned, 0, "independent", method)
 
 
 @pytest.mark.parametrize("method", ["overlap_ratio", "closed_form", "close_pair"])

@@ -145,8 +145,7 @@ def test_conditional_is_the_mean_over_all_configurations(name, rng):
 
 
 def test_monte_carlo_draws_every_configuration_alike(rng):
-    plane = TINY["unequal arms"]
-    xy = rng.uniform(-10, 40, (11, 2))
+    plane, xy = TINY["unequal arms"], rng.uniform(-10, 40, (11, 2))
     queues = queues_of(plane, xy)
     *exact, per_positioner = expectation(plane, queues)
     assert len({len(q) for q in queues}) > 1
@@ -247,8 +246,7 @@ def test_arms_that_cannot_touch_are_never_looked_at(method):
 
 
 def test_without_targets_parked_arms_remain():
-    plane = lamost_like(2)
-    stuck = np.full((19, 2), np.nan)
+    plane, stuck = lamost_like(2), np.full((19, 2), np.nan)
     stuck[9], stuck[4] = [170, 0], [-20, 10]
     plane = rs.FocalPlane(plane.xy, plane.positioner, stuck=stuck * u.deg)
     arms, _, counted = standing_arms(plane, np.full((19, 2), np.nan))
@@ -268,8 +266,7 @@ def test_without_targets_parked_arms_remain():
 
 def test_figures_of_lamost():
     """The values at the center of LAMOST's lattice under four rules; they differ by a factor of five."""
-    known = {"uniform": 0.110, "shared": 0.076, "voronoi": 0.019}
-    plane = lamost_like(4)
+    known, plane = {"uniform": 0.110, "shared": 0.076, "voronoi": 0.019}, lamost_like(4)
     middle = np.hypot(*plane.xy.value.T).argmin()
     for density, value in known.items():
         got = flat.collision_probability(plane, method="quadrature", density=density, max_iterations=1024)
@@ -296,8 +293,7 @@ def test_dynamic_collisions_are_independent_of_static_ones(method):
 
 
 def test_auto_takes_the_method_of_the_estimand():
-    plane = lamost_like(1)
-    few = {"max_iterations": 16}
+    plane, few = lamost_like(1), {"max_iterations": 16}
     for options, name in (
         ({}, "conditional"),
         ({"estimand": "allocated"}, "conditional"),
@@ -307,9 +303,7 @@ def test_auto_takes_the_method_of_the_estimand():
     ):
         got = flat.collision_probability(plane, method="auto", **options, **few)
         same = flat.collision_probability(plane, method=name, **options, **few)
-        assert got.method == name
-        assert got.estimand == options.get("estimand", "allocated")
-        assert got.value == same.value
+        assert (got.method, got.estimand, got.value) == (name, options.get("estimand", "allocated"), same.value)
 
 
 def test_a_preset_goes_by_its_name(presets):
@@ -326,8 +320,7 @@ def test_an_estimate_says_what_it_is():
     assert "'conditional' of 'allocated'" in repr(got)
     assert "[" not in repr(rs.collision_probability(lamost_like(1), method="overlap_ratio"))
     assert got.seconds > 0
-    assert got.meta["confidence"] == 0.9
-    assert got.meta["n_positioners"] == 7
+    assert (got.meta["confidence"], got.meta["n_positioners"]) == (0.9, 7)
 
 
 class Terminal(io.StringIO):

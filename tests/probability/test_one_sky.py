@@ -42,8 +42,7 @@ def test_the_variance_is_unbiased_for_correlated_neighbors_and_a_profile_at_the_
     adjacency, beyond, projection = dense(plane, ring=ring)
     n = len(plane)
     base = np.eye(n) + BEYOND * beyond
-    form = quadratic_form(adjacency, base, projection)
-    covariance = 0.04 * (base + 0.17 * adjacency)
+    form, covariance = quadratic_form(adjacency, base, projection), 0.04 * (base + 0.17 * adjacency)
     assert np.trace(form @ covariance) == pytest.approx(covariance.sum() / n**2, rel=1e-9)
     profile = 0.1 + 0.01 * (adjacency + beyond).sum(axis=1)
     correlated = np.linalg.cholesky(np.eye(n) + 0.1 * adjacency + 5 * np.eye(n))
@@ -128,8 +127,7 @@ def test_iterations_without_a_collision_say_nothing_of_other_skies():
 
 
 def test_fields_together_have_an_interval_where_a_single_one_has_none(rng):
-    plane = lamost_like(1)
-    fields = [(rng.random(7) < 0.3).astype(float) for _ in range(6)]
+    plane, fields = lamost_like(1), [(rng.random(7) < 0.3).astype(float) for _ in range(6)]
     value, low, high = rate_interval(plane, fields[:1], 0.95)
     assert value == fields[0].mean()
     assert np.isnan([low, high]).all()

@@ -235,8 +235,7 @@ def test_queues_of_an_allocation_are_conditional_of_its_targets(plane, parked, r
         for field in (*NUMBERS, "low", "high", "standard_error", "n_effective"):
             assert getattr(got, field) == pytest.approx(getattr(given, field), rel=1e-12)
         np.testing.assert_allclose(got.per_positioner, given.per_positioner, rtol=1e-12, atol=1e-15)
-        assert got.estimand == "independent"
-        assert got.meta["density"] == "empirical"
+        assert (got.estimand, got.meta["density"]) == ("independent", "empirical")
     assert got.meta["n_allocations"] == 2
     assert given.value > 0
 
@@ -296,8 +295,7 @@ def test_bad_densities_are_named(density, words):
 
 
 def test_allocations_have_to_fit(rng):
-    xy = rng.uniform(-30, 30, (20, 2)) * MM
-    plane = lamost_like(1)
+    xy, plane = rng.uniform(-30, 30, (20, 2)) * MM, lamost_like(1)
     with pytest.raises(rs.InputError, match="density must be Allocations with queues"):
         rs.collision_probability(plane, method="quadrature", density=rs.allocate(plane, xy, allocator="lamost_rule"))
     with pytest.raises(rs.InputError, match="for the 19 positioners of the focal plane, got .* for 7"):

@@ -28,8 +28,7 @@ def rare(p, counted):
 
 
 def runs(p, precision, counted, repeats, chunk=64):
-    rngs = np.random.default_rng(4).spawn(repeats)
-    stop = Precision(precision, 10_000_000)
+    rngs, stop = np.random.default_rng(4).spawn(repeats), Precision(precision, 10_000_000)
     return [run(ProbabilityQuestion(PLANE, SKIES, precision=stop, rng=rng), rare(p, counted), chunk) for rng in rngs]
 
 

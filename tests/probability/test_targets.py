@@ -58,8 +58,7 @@ def test_the_number_of_poisson_targets_has_its_own_variance(n, rng):
 
 @pytest.mark.parametrize(("n", "radius", "separation"), [(300, 93, 5.0), (560, 93, 5.5), (12, 20, 7.0), (2, 10, 9.0)])
 def test_discs_keep_their_distance(n, radius, separation, rng):
-    source = source_of(lamost_like(), "poisson_disc", n, radius * MM, separation * MM)
-    nearest = []
+    source, nearest = source_of(lamost_like(), "poisson_disc", n, radius * MM, separation * MM), []
     for _ in range(20):
         points = source.draw(rng)
         assert points.shape == (n, 2)
@@ -98,8 +97,7 @@ def test_targets_beyond_the_circle_do_not_exist():
 def test_targets_cover_the_plane_by_default(presets):
     plane = sdss_like()
     got = flat.collision_probability(plane, max_iterations=2)
-    assert got.meta["n_targets"] == 4 * 37
-    assert got.meta["target_radius_mm"] == pytest.approx(3 * 22.4 + 22.4)
+    assert (got.meta["n_targets"], got.meta["target_radius_mm"]) == (4 * 37, pytest.approx(3 * 22.4 + 22.4))
     got = flat.collision_probability(plane, n_targets=99, target_radius=5 * u.cm, max_iterations=2, **DISCS)
     assert [got.meta[k] for k in ("targets", "n_targets", "target_radius_mm", "min_separation_mm")] == [
         "poisson_disc",
@@ -178,8 +176,7 @@ def test_a_catalog_is_projected_and_its_fiber_types_count(rng):
     assert 0 < value < 1
     assert (got.value, got.value_assigned, got.pairs_per_positioner) == pytest.approx((value, value_assigned, pairs))
     np.testing.assert_allclose(got.per_positioner, per_positioner, atol=1e-9)
-    assert got.meta["targets"] == "given"
-    assert got.meta["n_targets"] == science.sum()
+    assert (got.meta["targets"], got.meta["n_targets"]) == ("given", science.sum())
 
 
 def test_targets_with_no_requested_visits_are_ignored(rng):
@@ -197,10 +194,8 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
     instrument = tiny()
     plane = instrument.focal_plane
     coord = CENTER.spherical_offsets_by(rng.uniform(-0.06, 0.2, 25) * u.deg, rng.uniform(-0.08, 0.16, 25) * u.deg)
-    priority = rng.integers(1, 4, 25)
-    xy = tangent_plane_mm(coord, CENTER, 200, 0)
-    reach = plane.reachable(xy * MM).toarray()
-    values = []
+    priority, xy = rng.integers(1, 4, 25), tangent_plane_mm(coord, CENTER, 200, 0)
+    reach, values = plane.reachable(xy * MM).toarray(), []
     for wanted in (priority, np.zeros(25)):
         chosen = lamost_target(xy, plane.xy.value, reach, wanted)
         values.append(expectation(plane, [[tuple(xy[t])] if t >= 0 else [] for t in chosen])[2:])
@@ -217,8 +212,7 @@ def test_priorities_of_a_catalog_reach_the_allocator(rng):
 def test_a_catalog_is_centered_on_its_mean_direction(rng):
     instrument = tiny()
     # the targets are symmetric around the center, also across 0 h, so that the center is their mean direction
-    angle = np.arange(0, 360, 15) * u.deg
-    center = SkyCoord(0, 40, unit="deg")
+    angle, center = np.arange(0, 360, 15) * u.deg, SkyCoord(0, 40, unit="deg")
     coord = center.directional_offset_by(angle, 0.1 * u.deg)
     assert np.ptp(coord.ra.deg) > 300
     catalog = rs.Catalog(coord)

@@ -29,8 +29,7 @@ def image(x, y, strength):
 
 @pytest.fixture(scope="module")
 def traced(tmp_path_factory):
-    rng = np.random.default_rng(5)
-    rows = []
+    rng, rows = np.random.default_rng(5), []
     for angle in range(-180, 1, 20):
         r, turn = 0.028 * np.sqrt(np.append(rng.random(150), 1.0)), 2 * np.pi * rng.random(151)
         x, y = r * np.cos(turn), r * np.sin(turn)

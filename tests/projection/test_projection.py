@@ -38,8 +38,7 @@ def test_agrees_with_astropy_wcs(center, position_angle, rng):
 @pytest.mark.parametrize("distortion", [None, *MAPS])
 @pytest.mark.parametrize("center", CENTERS)
 def test_round_trip(center, distortion, rng):
-    center = SkyCoord(*center, unit="deg")
-    radial = MAPS.get(distortion)
+    center, radial = SkyCoord(*center, unit="deg"), MAPS.get(distortion)
     scale = 20 * u.m / u.rad if radial is None else None
     plane = rs.projection.TangentPlane(center, scale, 17 * u.deg, radial)
     radius = 2.5 if radial is None else radial.max_angle.value * 0.9999
@@ -90,8 +89,7 @@ def test_beyond_the_map_there_is_no_image():
 @pytest.mark.parametrize("form", MAPS)
 def test_radial_map_keeps_the_azimuth_and_follows_the_formula(form, rng):
     radial = MAPS[form]
-    theta = np.linspace(0, radial.max_angle.value, 50)
-    c = radial.coefficients
+    theta, c = np.linspace(0, radial.max_angle.value, 50), radial.coefficients
     t = np.tan(np.deg2rad(theta)) / 0.014 if form == "tan_theta" else theta
     p = sum(ck * t ** (2 * k + 1) for k, ck in enumerate(c))
     expected = {"theta": p, "tan_theta": 0.99995 * p, "sine": 9208 * np.sin(np.deg2rad(p))}[form]

@@ -85,8 +85,7 @@ def test_boxes_agree_with_right_ascension_and_declination(rng):
     for _ in range(20):
         a, b = rng.uniform(0, 360, 2)
         c, d = np.sort(rng.uniform(-90, 90, 2))
-        inside = (points.dec.deg >= c) & (points.dec.deg <= d)
-        ra = points.ra.deg
+        inside, ra = (points.dec.deg >= c) & (points.dec.deg <= d), points.ra.deg
         inside &= (ra >= a) & (ra <= b) if a < b else (ra >= a) | (ra <= b)
         region = rs.Region.box(ra=(a * DEG, b * DEG), dec=(c * DEG, d * DEG))
         np.testing.assert_array_equal(region.contains(points), inside)
@@ -106,10 +105,8 @@ def test_distances_and_the_circle_around(text):
     """Compare with the nearest of many directions inside the region."""
     from scipy.spatial import cKDTree
 
-    region = rs.Region.parse(text)
-    points = everywhere(300_000)
-    xyz = points.cartesian.xyz.value.T
-    inside = region.contains(points)
+    region, points = rs.Region.parse(text), everywhere(300_000)
+    xyz, inside = points.cartesian.xyz.value.T, region.contains(points)
     center, radius = circle_around(region)
     assert (2 * np.arcsin(np.minimum(np.linalg.norm(xyz[inside] - center, axis=1) / 2, 1)) <= radius + 1e-9).all()
     distance = distance_to(region, xyz[:2000])
