@@ -216,72 +216,53 @@ def test_columns_of_a_module(rng):
 
 MODULES = LATTICE + "modules = { value = %s }"
 ONE = MODULES % "[[0, 0, 0]]" + "\n"
+RINGS = 'pitch = { value = 6.2, unit = "mm" }\nrings = { value = 2 }\n'
+RADIUS = LATTICE + GROUPS + 'group_radius = { value = %d, unit = "mm" }\n'
+CLASSES = ONE + "module_classes = { value = { %s } }"
+FORM = "layout.modules must be the name of a file, or a list of modules"
+FREE = "exactly one class of module_classes must have no"
+OVERLAP = "modules must not overlap"
 
 
 BAD_DESCRIPTIONS = [
-    (
-        MODULES % "[[0, 0, 0], [0, 30, 0]]",
-        "modules must not overlap, got 1 pair of modules that do, such as modules 1 and 2",
-    ),
-    (MODULES % "[[0, 0, 0], [0, -43, 90]]", "modules must not overlap"),
-    (MODULES % "[[0, 0, nan]]", "layout.modules must be the name of a file, or a list of modules"),
-    (MODULES % "[[0, 0]]", "layout.modules must be the name of a file, or a list of modules"),
+    (MODULES % "[[0, 0, 0], [0, 30, 0]]", f"{OVERLAP}, got 1 pair of modules that do, such as modules 1 and 2"),
+    (MODULES % "[[0, 0, 0], [0, -43, 90]]", OVERLAP),
+    (MODULES % "[[0, 0, nan]]", FORM),
+    (MODULES % "[[0, 0]]", FORM),
     (MODULES % '"none.csv"', "none.csv"),
     (MODULES % '"nan.csv"', "centers of modules must be finite, got nan"),
-    (
-        MODULES % '"bare.csv"',
-        "bare.csv must have the columns x and y (mm), and rotation (deg) or points_up, got x, y",
-    ),
-    (
-        "modules = { value = [[0, 0, 0]] }",
-        "[layout] with modules must have module_places, or pitch and module_rows",
-    ),
-    (
-        LATTICE + GROUPS,
-        "[layout] must have modules, or module_side, module_gap, group_gap and either group_radius or",
-    ),
+    (MODULES % '"bare.csv"', "bare.csv must have the columns x and y (mm), and rotation (deg) or points_up, got x, y"),
+    ("modules = { value = [[0, 0, 0]] }", "[layout] with modules must have module_places, or pitch and module_rows"),
+    (LATTICE + GROUPS, "[layout] must have modules, or module_side, module_gap, group_gap and either group_radius or"),
     (LATTICE + 'module_side = { value = 70, unit = "mm" }', "it lacks module_gap, group_gap"),
-    (LATTICE + GROUPS + 'group_radius = { value = 10, unit = "mm" }', "the modules must have centers within 10 mm"),
+    (RADIUS % 10, "the modules must have centers within 10 mm"),
+    (RADIUS % 300 + 'focal_surface = { value = 100, unit = "mm" }', "the focal surface must extend to all modules"),
     (
-        LATTICE + GROUPS + 'group_radius = { value = 300, unit = "mm" }\nfocal_surface = { value = 100, unit = "mm" }',
-        "the focal surface must extend to all modules",
-    ),
-    (
-        LATTICE + GROUPS + 'group_radius = { value = 100, unit = "mm" }\n'
-        'focal_surface = { value = [[1, 0], [2, 0], [300, 1]], unit = "mm" }',
+        RADIUS % 100 + 'focal_surface = { value = [[1, 0], [2, 0], [300, 1]], unit = "mm" }',
         "the points of the focal surface must begin at R = 0",
     ),
     (ONE + 'module_wall = { value = 1, unit = "mm" }', "walls must be given with the outline of a module"),
+    (CLASSES % "LR = {}, HR = { places = [64] }", "places of 'HR' must be numbers from 1 to 63, got 64"),
     (
-        ONE + "module_classes = { value = { LR = {}, HR = { places = [64] } } }",
-        "places of 'HR' must be numbers from 1 to 63, got 64",
-    ),
-    (
-        ONE + "module_classes = { value = { LR = {}, HR = { places = [3] }, X = { places = [3] } } }",
+        CLASSES % "LR = {}, HR = { places = [3] }, X = { places = [3] }",
         "each place of a module must be in one class, got two for the place 3",
     ),
     (ONE + "rings = { value = 3 }", "[layout] with a list of modules must not have the entry 'rings'"),
     (ONE + 'group_radius = { value = 100, unit = "mm" }', "must not have the entry 'group_radius'"),
     (ONE + 'fiducial_radius = { value = 1, unit = "mm" }', "must not have the entry 'fiducial_radius'"),
     (
-        'pitch = { value = 6.2, unit = "mm" }\nrings = { value = 2 }\nmodule_wall = { value = 1, unit = "mm" }',
+        RINGS + 'module_wall = { value = 1, unit = "mm" }',
         "[layout] without modules must not have the entry 'module_wall'",
     ),
     (
-        'pitch = { value = 6.2, unit = "mm" }\nrings = { value = 2 }\nspectrographs = { value = "one a module" }',
+        RINGS + 'spectrographs = { value = "one a module" }',
         "layout.spectrographs must not be 'one a module' without modules",
     ),
-    (ONE + "module_classes = { value = { LR = {}, HR = {} } }", "exactly one class of module_classes must have no"),
-    (
-        ONE + "module_classes = { value = { HR = { places = [3] } } }",
-        "exactly one class of module_classes must have no",
-    ),
+    (CLASSES % "LR = {}, HR = {}", FREE),
+    (CLASSES % "HR = { places = [3] }", FREE),
     (MODULES % '"half.csv"', "points_up in half.csv must be 0 or 1"),
     (MODULES % '"both.csv"', "both.csv must have either the column rotation or the column points_up, got both"),
-    (
-        LATTICE.replace("11", "500") + "modules = { value = [[0, 0, 0]] }",
-        "module_rows must be a whole number from 1",
-    ),
+    (ONE.replace("11", "500"), "module_rows must be a whole number from 1"),
 ]
 
 
