@@ -59,13 +59,6 @@ def test_thinning_keeps_each_entry_equally_often(rng):
     np.testing.assert_allclose(times[3:10] / 4000, 3 / 7, atol=4 * np.sqrt(3 / 7 * 4 / 7 / 4000))
 
 
-BAD_OPTIONS = [
-    ({"method": "quadrature", "density": []}, "density must be one of"),
-    ({"method": "quadrature", "density": lambda xy: "much"}, "density must return numbers, got str"),
-    ({"most_entries": True}, "most_entries must be a whole number"),
-]
-
-
 USERS = "only monte_carlo and conditional use it"
 
 
