@@ -161,10 +161,7 @@ REFUSED = [
         {"allocator": lambda _: AllocationAnswer(NONE, levels=[("science", 5.0, 5.0)])},
         "levels must contain the values of the objectives of the",
     ),
-    (
-        {"allocator": lambda _: AllocationAnswer(NONE, queues=(np.zeros(2), np.zeros(0)))},
-        "queues must contain indptr",
-    ),
+    ({"allocator": lambda _: AllocationAnswer(NONE, queues=(np.zeros(2), np.zeros(0)))}, "queues must contain indptr"),
 ]
 
 

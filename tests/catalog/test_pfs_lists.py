@@ -73,10 +73,7 @@ def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
 
 
 BAD_LISTS = [
-    (
-        {"exptime": [900, 0, 900, 900]},
-        "column 'exptime' must hold positive exposure times, got other values in 1 of",
-    ),
+    ({"exptime": [900, 0, 900, 900]}, "column 'exptime' must hold positive exposure times, got other values in 1 of"),
     ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
     ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
     ({"exptime": [9e5, 9, 9, 9]}, "visits must"),

@@ -292,10 +292,7 @@ def test_targets_without_a_fiber_type_follow_the_rules_of_the_fiber_that_they_ge
 
 
 WRONG_RULES = [
-    (
-        "magnitude mag 17 12",
-        "the brightest magnitude of 'mag' must be smaller than the faintest magnitude 12, got 17",
-    ),
+    ("magnitude mag 17 12", "the brightest magnitude of 'mag' must be smaller than the faintest magnitude 12, got 17"),
     ("magnitude mag x 12", "the constraint must have the form 'magnitude COLUMN BRIGHTEST FAINTEST"),
     ("magnitude mag nan 12", "the brightest magnitude of 'mag' must be a number, got nan"),
     ("magnitude mag 1 12 science '' never", "unknown treatment of missing magnitudes 'never'"),

@@ -56,11 +56,7 @@ def test_the_base_is_good(tmp_path):
 WRONG_ENTRIES = [
     ("layout.pitch", figure("true", "mm"), "layout.pitch must be a length above 0, got True mm"),
     ("layout.pitch", figure("inf", "mm"), "layout.pitch must be a length above 0, got inf mm"),
-    (
-        "layout.pitch",
-        figure("12.0"),
-        'the unit of layout.pitch must be convertible to mm, got none; write unit = "mm"',
-    ),
+    ("layout.pitch", figure("12.0"), 'the unit of layout.pitch must be convertible to mm, got none; write unit = "mm"'),
     ("layout.pitch", figure("12.0", "deg"), "the unit of layout.pitch must be convertible to mm, got 'deg'"),
     ("layout.pitch", "3", "layout.pitch must be a table with value, status and source, got 3"),
     ("layout.pitch", "{ value = 3 }", "layout.pitch must have a status, got only value"),
@@ -104,11 +100,7 @@ WRONG_ENTRIES = [
         figure("20"),
         "spectrographs must be a number from 1 to the number of positioners, got 20",
     ),
-    (
-        "layout.rings",
-        '{ value = 2, status = "assumed", source = 3 }',
-        "the source of layout.rings must be text, got 3",
-    ),
+    ("layout.rings", '{ value = 2, status = "assumed", source = 3 }', "the source of layout.rings must be text, got 3"),
     (".name", "3", "name must be text, got 3"),
     (".title", "3", "title must be text, got 3"),
     (".notes", "[]", "notes must be text, got []"),

@@ -177,10 +177,7 @@ BAD_DESCRIPTIONS = [
     ('name = "x"', "must have the section .positioner."),
     (DESCRIPTION.replace('"assumed"', '"rumored"', 1), "unknown status of positioner.central_arm 'rumored'"),
     (DESCRIPTION.replace("rings = { value = 2", "rings = { value = 1.5"), "rings must be a whole number"),
-    (
-        DESCRIPTION.replace("value = 0.3", "value = -1"),
-        "positioner.central_arm must be a length above 0, got -1 cm",
-    ),
+    (DESCRIPTION.replace("value = 0.3", "value = -1"), "positioner.central_arm must be a length above 0, got -1 cm"),
     (
         DESCRIPTION.replace('unit = "um / arcsec"', 'unit = "um"'),
         "the unit of optics.plate_scale must be convertible to mm / rad, got 'um'",

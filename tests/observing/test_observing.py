@@ -338,10 +338,7 @@ def test_conditions_that_are_not_valid_are_errors(given, text):
 FIELDS_BELOW_HORIZON = [
     ({"hour_angle": 11 * u.hourangle}, "altitude -35.* deg of its center at hour angle 11 h"),
     ({"time": Time("2024-05-10T19:00:00")}, "altitude -.* deg of its center at 2024-05-10 19:00:00.000 UTC"),
-    (
-        {"hour_angle": 6.95 * u.hourangle},
-        r"the whole field with its radius of 2\.\d+ deg must be above the horizon",
-    ),
+    ({"hour_angle": 6.95 * u.hourangle}, r"the whole field with its radius of 2\.\d+ deg must be above the horizon"),
     ({"hour_angle": 6.5 * u.hourangle, "exposure_time": 3 * u.hour}, "during the exposure"),
 ]
 

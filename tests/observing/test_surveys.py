@@ -200,10 +200,7 @@ def test_the_command_neglects_refraction_without_conditions(command):
 REFUSED_CONDITIONS = [
     (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
     (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
-    (
-        ["--set", "conditions.site=paranal", "--set", "conditions.hour_angle=9"],
-        "tile 0: .* must be above the horizon",
-    ),
+    (["--set", "conditions.site=paranal", "--set", "conditions.hour_angle=9"], "tile 0: .* must be above the horizon"),
 ]
 
 

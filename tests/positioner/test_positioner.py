@@ -101,10 +101,7 @@ BAD_INPUT = [
     ({"central_arm": 7.4 * u.deg}, "central_arm must have a unit convertible to mm, got deg"),
     ({"eccentric_arm": 0 * MM}, "eccentric_arm must be one finite value above 0 mm and below 1e.06 mm, got 0"),
     ({"clearance": -1 * MM}, r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got -1"),
-    (
-        {"clearance": np.nan * MM},
-        r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got nan",
-    ),
+    ({"clearance": np.nan * MM}, r"clearance must be one finite value of at least 0 mm and below 1e\+06 mm, got nan"),
     ({"step": 50 * u.deg}, "step must be one finite value of at least 0 rad and below 0.785398 rad"),
     ({"handedness": "rigth"}, "unknown handedness 'rigth'.* Did you mean 'right'"),
     ({"theta_range": [3, 1] * u.deg}, "theta_range must be .low, high."),

@@ -66,15 +66,9 @@ OPTIONS_WITHOUT_EFFECT = [
     ({"method": "quadrature", "interval": "bootstrap"}, f"interval has no effect with .* 'quadrature'; {USERS}"),
     ({"method": "quadrature", "stop": "convergence"}, f"stop has no effect with the method 'quadrature'; {USERS}"),
     ({"method": "quadrature", "targets": "poisson"}, f"targets has no effect with .* 'quadrature'; {USERS}"),
-    (
-        {"method": "quadrature", "allocator": "lamost_rule"},
-        f"allocator has no effect with .* 'quadrature'; {USERS}",
-    ),
+    ({"method": "quadrature", "allocator": "lamost_rule"}, f"allocator has no effect with .* 'quadrature'; {USERS}"),
     ({"method": "closed_form", "density": "uniform"}, "density has no effect with .*; only quadrature uses it"),
-    (
-        {"method": "closed_form", "precision": 0.1},
-        "precision has no effect with the method 'closed_form'; only qua",
-    ),
+    ({"method": "closed_form", "precision": 0.1}, "precision has no effect with the method 'closed_form'; only qua"),
     ({"method": "close_pair", "rng": 3}, "rng has no effect with the method 'close_pair'; only quadrature, mon"),
     ({"method": "monte_carlo", "most_entries": 3}, "most_entries has no effect .*; only conditional uses it"),
     ({"method": "monte_carlo", "density": "uniform"}, "density has no effect with the method 'monte_carlo'; only"),

@@ -93,10 +93,7 @@ def test_simulations_take_allocators_of_others(small, hers):
 
 
 NO_ESTIMATES = [
-    (
-        None,
-        r"must return a dict, or an array of the shape \(37,\) with a probability for each positioner, got None",
-    ),
+    (None, r"must return a dict, or an array of the shape \(37,\) with a probability for each positioner, got None"),
     (0.5, r"got float of the shape \(\)"),
     (np.zeros(3), r"got ndarray of the shape \(3,\)"),
     (["a"] * 37, "must return a dict, or an array"),
@@ -106,10 +103,7 @@ NO_ESTIMATES = [
     (np.full(37, np.nan), "the result must contain value, or per_positioner with the probability of"),
     ({}, "the result must contain value, or per_positioner"),
     ({"n": 3}, "the result must contain value, or per_positioner"),
-    (
-        {"values": 0.5},
-        "unknown field of a result 'values'; choose one of: high, low, meta, .* Did you mean 'value'",
-    ),
+    ({"values": 0.5}, "unknown field of a result 'values'; choose one of: high, low, meta, .* Did you mean 'value'"),
     ({"value": 0.5, "method": "x"}, "unknown field of a result 'method'"),
     ({"value": np.nan}, "value must be a number of at least 0 and at most 1, got nan"),
     ({"value": 1.5}, "value must be a number of at least 0 and at most 1, got 1.5"),
