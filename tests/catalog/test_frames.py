@@ -128,7 +128,7 @@ def test_dataframes_that_are_refused_are_not_pasted(frame):
         (f"{rows} without a unit", lambda: rs.AllocationOptions(sky_separation=frame)),
         ("unknown allocator a DataFrame of 300 rows", rs.AllocationOptions, frame),
         (f"coord must be a SkyCoord, {rows}", rs.Catalog, frame),
-        ("columns must be a dict from role to column, got a Data", rs.Catalog.from_table, frame, frame),
+        ("columns must be a dict from role to column, got a Data", lambda: rs.Catalog.from_table(frame, columns=frame)),
     ):
         text = refused("", call, *given)
         assert message in text
