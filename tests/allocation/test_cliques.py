@@ -34,8 +34,7 @@ def test_cliques_are_maximal_and_contain_every_conflict(monkeypatch, room):
     for seed in range(200):
         options, rows, edges = random_options(np.random.default_rng(seed))
         own, target, n = options.owner, options.target, len(options.owner)
-        conflict = (target[:, None] == target) & (target >= 0)
-        inside = np.isin(np.arange(n), rows)
+        conflict, inside = (target[:, None] == target) & (target >= 0), np.isin(np.arange(n), rows)
         conflict[tuple(edges)] = conflict[tuple(edges[::-1])] = True
         excludes = (conflict | (own[:, None] == own)) & inside & inside[:, None] & ~np.eye(n, dtype=bool)
         indptr, column = _candidates.cover(options, rows, edges)

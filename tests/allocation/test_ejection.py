@@ -38,15 +38,14 @@ def crowded(name, seed):
 
 @pytest.mark.few(13)
 @pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(4, 40), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [range(4), pytest.param(range(4, 12), marks=pytest.mark.exhaustive)])
 def test_plans_stay_valid_and_never_get_worse(name, seeds, monkeypatch):
     """The state that the moves update is that of a new plan with the same candidates."""
     improve, n_better = _local_search.improve, 0
 
     def checked(candidates, chosen, *arguments, **options):
         nonlocal n_better
-        plans = []
-        make = _local_search._plan
+        plans, make = [], _local_search._plan
         with monkeypatch.context() as patch:
             patch.setattr(_local_search, "_plan", lambda *given: plans.append(make(*given)) or plans[-1])
             after = improve(candidates, chosen, *arguments, **options)
@@ -69,7 +68,7 @@ def test_plans_stay_valid_and_never_get_worse(name, seeds, monkeypatch):
     assert n_better >= len(seeds) / 4
 
 
-@pytest.mark.parametrize("n_scenes", [60, pytest.param(500, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n_scenes", [60, pytest.param(150, marks=pytest.mark.exhaustive)])
 def test_plans_are_close_to_the_optimum(n_scenes):
     n_close = n_equal = 0
     for seed in range(n_scenes):
@@ -77,8 +76,7 @@ def test_plans_are_close_to_the_optimum(n_scenes):
         unit = rs.Positioner(rng.uniform(3, 8) * MM, rng.uniform(4, 9) * MM, rng.uniform(0.3, 1.5) * MM)
         plane = rs.FocalPlane.hexagonal(unit, rings=int(rng.integers(1, 4)), pitch=10 * MM)
         n = int(rng.uniform(0.3, 5) * len(plane)) + 1
-        xy = rng.uniform(-12 * 3, 12 * 3, (n, 2)) * MM
-        columns = {"priority": rng.integers(0, 3, n)}
+        xy, columns = rng.uniform(-12 * 3, 12 * 3, (n, 2)) * MM, {"priority": rng.integers(0, 3, n)}
         found, best = (rs.allocate(plane, xy, allocator=one, **columns) for one in ("repair", "optimal"))
         values, bounds = ([level.value for level in one.levels] for one in (found, best))
         assert best.gap == 0
@@ -92,8 +90,7 @@ def test_plans_are_close_to_the_optimum(n_scenes):
 @pytest.mark.parametrize("n_classes", [1, 3])
 def test_long_arms_lose_few_targets(n_classes):
     """Exchanges lose 10 % of the targets of arms that reach 2.5 pitches."""
-    plane = rs.FocalPlane.hexagonal(LONG, rings=8, pitch=10 * MM)
-    rng = np.random.default_rng(3)
+    plane, rng = rs.FocalPlane.hexagonal(LONG, rings=8, pitch=10 * MM), np.random.default_rng(3)
     xy, priority = rng.uniform(-100, 100, (2 * len(plane), 2)) * MM, rng.integers(0, n_classes, 2 * len(plane))
     found, earlier = (
         rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", moves=moves), priority=priority)
@@ -122,8 +119,7 @@ def test_the_order_of_the_catalog_has_no_influence():
 @pytest.mark.parametrize("seed", [86, 93])
 def test_the_most_important_target_is_observed_where_rules_allow_it(seed):
     """With exchanges, fibers that no rule requires observe the sky, and the target of priority 1000 has no fiber."""
-    rng = np.random.default_rng(seed)
-    n_standard = {86: 120, 93: 200}[seed]
+    rng, n_standard = np.random.default_rng(seed), {86: 120, 93: 200}[seed]
     n = 150 + n_standard + 250 + 1
     distance, angle = 1.45 * np.sqrt(rng.random(n)), rng.uniform(0, 360, n)
     distance[-1] *= 0.9
@@ -158,22 +154,21 @@ def test_a_warning_states_that_the_highest_priority_has_no_fiber(allocator):
 
 def test_a_given_plan_changes_only_where_it_gets_better():
     plane, (n, seed) = sdss_like(rings=5), (200, 1)
-    rng = np.random.default_rng(seed)
-    xy = rng.uniform(-120, 120, (n, 2)) * MM
+    xy = np.random.default_rng(seed).uniform(-120, 120, (n, 2)) * MM
     best = rs.allocate(plane, xy, allocator="optimal")
     kept = rs.allocate(plane, xy, allocator=rs.AllocationOptions("repair", start=best))
     np.testing.assert_array_equal(kept.target_of_positioner, best.target_of_positioner)
     assert kept.meta["n_moved"] == 0
 
 
-@pytest.mark.parametrize(
-    ("make", "n", "first", "digest"),
-    [
-        (sdss_like, 150, [69, 110, 124, 118, 117, 66, 94, 21], 52196),
-        (lamost_like, 90, [25, 32, 31, 51, 74, 29, 41, 36], 27725),
-        (sdss_like, 700, [565, 441, 421, 319, 612, 323, 153, 8], 217175),
-    ],
-)
+EARLIER_PLANS = [
+    (sdss_like, 150, [69, 110, 124, 118, 117, 66, 94, 21], 52196),
+    (lamost_like, 90, [25, 32, 31, 51, 74, 29, 41, 36], 27725),
+    (sdss_like, 700, [565, 441, 421, 319, 612, 323, 153, 8], 217175),
+]
+
+
+@pytest.mark.parametrize(("make", "n", "first", "digest"), EARLIER_PLANS)
 def test_exchanges_make_the_plans_of_version_0_3(make, n, first, digest):
     rng = np.random.default_rng(n)
     xy, kind = rng.uniform(-85, 85, (n, 2)) * MM, np.where(rng.random(n) < 0.2, "sky", "science")

@@ -27,8 +27,7 @@ SCENES = {
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize("limit", [1e-9, 0.3, 1.5])
-@pytest.mark.parametrize("scene", SCENES)
+@pytest.mark.parametrize(("scene", "limit"), [(scene, limit) for scene in SCENES for limit in (1e-9, 0.3)])
 def test_no_plan_is_worse_than_that_of_repair(scene, limit):
     """With a limit of 1 s, ``optimal`` once assigned 5994 targets where ``repair`` assigned 9889 in 0.8 s."""
     plane, density = SCENES[scene]
@@ -40,8 +39,7 @@ def test_no_plan_is_worse_than_that_of_repair(scene, limit):
     found = rs.allocate(plane, xy, allocator=options, priority=priority)
     assert [level.value for level in found.levels] >= [level.value for level in repaired.levels]
     assert 0 <= found.gap <= 1
-    pairs = rs.find_collisions(plane, found).pairs
-    assert (found.target_of_positioner[pairs] < 0).all()
+    assert (found.target_of_positioner[rs.find_collisions(plane, found).pairs] < 0).all()
 
 
 @pytest.mark.few(2)
@@ -63,7 +61,7 @@ def test_plans_get_no_worse_with_more_programs(name, with_requirements):
         ]
 
     before = values("repair")
-    for programs in (0, 1, 2, 3, 4, 5, 6, 7, 8, 10, 12, 14, 17, 20, 25, 30, 40, 50, 75, 100):
+    for programs in (0, 1, 2, 3, 4, 6, 8, 12, 20, 40):
         now = values("optimal", programs=programs)
         assert now >= before, (programs, now, before)
         before = now
@@ -87,18 +85,15 @@ def test_a_plan_of_repair_that_reaches_the_bound_is_proven():
     half = np.abs(plane.xy.value).max()
     xy = np.random.default_rng(0).uniform(-half, half, (60 * len(plane), 2)) * MM
     found = rs.allocate(plane, xy, allocator="optimal")
-    assert found.n_assigned == len(plane)
-    assert found.gap == 0
+    assert (found.n_assigned, found.gap) == (len(plane), 0)
 
 
 def test_many_classes_keep_to_the_time_limit():
     """With 200,000 classes and a limit of 2 s, the search once took 8.7 s."""
-    plane = hexagon(4, 1.2, 0.5)
-    rng = np.random.default_rng(0)
+    plane, rng = hexagon(4, 1.2, 0.5), np.random.default_rng(0)
     for n in (200, 100_000):  # the first plan loads the compiled functions
         xy = rng.uniform(-45, 45, (n, 2)) * MM
-        options = rs.AllocationOptions("optimal", time_limit=1 * u.s)
-        begin = perf_counter()
+        options, begin = rs.AllocationOptions("optimal", time_limit=1 * u.s), perf_counter()
         found = rs.allocate(plane, xy, allocator=options, priority=rng.permutation(n))
         seconds = perf_counter() - begin
         assert len(found.levels) == n
@@ -108,8 +103,7 @@ def test_many_classes_keep_to_the_time_limit():
 
 
 def test_classes_without_candidates_keep_their_objectives():
-    plane = hexagon(2, 1.2, 0.5)
-    xy = [[0, 0], [400, 0], [3, 4], [400, 9]] * MM
+    plane, xy = hexagon(2, 1.2, 0.5), [[0, 0], [400, 0], [3, 4], [400, 9]] * MM
     for objective in ("priority", "count"):
         options = rs.AllocationOptions("optimal", objective=objective)
         found = rs.allocate(plane, xy, allocator=options, priority=[4, 3, 2, 1])

@@ -11,29 +11,25 @@ import rfpsurvey as rs
 MM = u.mm
 
 
-def test_a_target_goes_to_the_positioner_whose_idle_arm_would_collide_twice():
-    unit = rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
-    plane = rs.FocalPlane([[0, 0], [12.2, 0], [24.4, 0]] * MM, unit)
-    found = rs.allocate(plane, [[0.404, 7.0876]] * MM, allocator="optimal")
-    assert found.gap == 0
-    assert found.target_of_positioner.tolist() == [-1, 0, -1]
-    assert len(rs.find_collisions(plane, found).pairs) == 0
+IDLE_ARMS = [
+    ([[0.404, 7.0876]], None, [-1, 0, -1], 0),  # of two positioners, the one whose idle arm would collide twice
+    # subpriorities take precedence over collisions of idle arms; the arms at these targets collide
+    ([[12.1, -8.7], [13.6, -4.6]], [0.9, 0.2], [0, -1, -1], 1),
+    ([[12.1, -8.7], [13.6, -4.6]], [0.2, 0.9], [-1, 1, -1], 0),
+]
 
 
-def test_subpriorities_take_precedence_over_collisions_of_idle_arms():
+@pytest.mark.parametrize(("xy", "subpriority", "expected", "n_pairs"), IDLE_ARMS)
+def test_collisions_of_idle_arms_are_the_last_objective(xy, subpriority, expected, n_pairs):
     plane = rs.FocalPlane([[0, 0], [12.2, 0], [24.4, 0]] * MM, rs.Positioner(8 * MM, 8 * MM, 2.25 * MM))
-    for subpriority, expected, n_pairs in (([0.9, 0.2], [0, -1, -1], 1), ([0.2, 0.9], [-1, 1, -1], 0)):
-        xy = [[12.1, -8.7], [13.6, -4.6]] * MM  # the arms at these targets collide
-        found = rs.allocate(plane, xy, allocator="optimal", subpriority=subpriority)
-        assert found.gap == 0
-        assert found.target_of_positioner.tolist() == expected
-        assert len(rs.find_collisions(plane, found).pairs) == n_pairs
+    found = rs.allocate(plane, xy * MM, allocator="optimal", subpriority=subpriority)
+    assert (found.gap, found.target_of_positioner.tolist()) == (0, expected)
+    assert len(rs.find_collisions(plane, found).pairs) == n_pairs
 
 
 def enumerate_plans(plane, xy):
     """Return the number of targets and of collisions between idle arms, for plans whose other arms do not collide."""
-    reach = plane.reachable(xy).toarray()
-    choices = [[-1, *np.flatnonzero(row)] for row in reach]
+    choices = [[-1, *np.flatnonzero(row)] for row in plane.reachable(xy).toarray()]
     for targets in product(*choices):
         used = [t for t in targets if t >= 0]
         if len(set(used)) < len(used):
@@ -52,8 +48,7 @@ def test_as_few_idle_arms_as_possible_collide(monkeypatch, size):
     monkeypatch.setattr("rfpsurvey.allocation._idle.SIZE", size)
     n_better = 0
     for seed in range(30):
-        rng = np.random.default_rng(seed)
-        unit = rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
+        rng, unit = np.random.default_rng(seed), rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)
         plane = rs.FocalPlane(np.column_stack([12.2 * np.arange(5), rng.normal(0, 0.2, 5)]) * MM, unit)
         xy = np.column_stack([rng.uniform(0, 50, 2), rng.uniform(-12, 12, 2)]) * MM
         plans = list(enumerate_plans(plane, xy))

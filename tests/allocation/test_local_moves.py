@@ -13,8 +13,7 @@ def random_candidates(rng):
     size = rng.integers(2, 6, n)
     start, own = np.concatenate([[0], np.cumsum(size)]), np.repeat(np.arange(n), size)
     n_targets, idle = 2 * n, start[1:] - 1
-    target = rng.integers(0, n_targets, len(own))
-    rank = rng.integers(0, 3, len(own))
+    target, rank = rng.integers(0, n_targets, len(own)), rng.integers(0, 3, len(own))
     target[idle], rank[idle] = -1, 4
     one, other = rng.integers(0, len(own), (2, int(len(own) * rng.uniform(0, 4))))
     is_idle = np.isin(np.arange(len(own)), idle)
@@ -56,7 +55,7 @@ def drop_slowly(options, order, plan):
         plan[i] = min(able, key=lambda c: (options.rank[c], options.cost[c]), default=int(options.start[i + 1]) - 1)
 
 
-@pytest.mark.parametrize("seeds", [range(300), pytest.param(range(300, 6000), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [range(300), pytest.param(range(300, 2000), marks=pytest.mark.exhaustive)])
 def test_targets_are_removed_in_the_order_of_collisions(seeds):
     n_dropped = n_idle_collide = 0
     for seed in seeds:

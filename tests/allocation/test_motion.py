@@ -31,10 +31,7 @@ SCENES = {
     "fiber tips": (lambda: hexagon(11, 7, 7, 2, arm_model="fiber_tip"), "same_speed"),
     "left": (lambda: hexagon(22, 8, 14, 2, handedness="left"), "same_duration"),
     "limited": (lambda: hexagon(26, 8, 17, 2, phi_range=[-5, 165] * u.deg), "same_duration"),
-    "broken": (
-        lambda: hexagon(25, 8, 17, 2, stuck=STUCK * u.deg, disabled=np.arange(7) == 5),
-        "same_duration",
-    ),
+    "broken": (lambda: hexagon(25, 8, 17, 2, stuck=STUCK * u.deg, disabled=np.arange(7) == 5), "same_duration"),
     "obstacles": (lambda: hexagon(25, 8, 17, 2, obstacles=[[12.5, 7.2, 1], [0, -14.4, 1.5]] * MM), "same_speed"),
     "outlines": (lambda: hexagon(8.5, 3, 3, 0.1, positioner=DESI_LIKE), "same_duration"),
 }
@@ -106,8 +103,7 @@ def best_number(plane, points, law, directions):
         matrix[r, pair] = 1
     for (i, _), c in column.items():
         matrix[len(rows) + i, c] = 1
-    low = np.append(np.full(len(rows), -np.inf), np.ones(len(plane)))
-    most = np.ones(len(keys))
+    low, most = np.append(np.full(len(rows), -np.inf), np.ones(len(plane))), np.ones(len(keys))
     most[barred] = 0
     goal = np.array([arms[i][k][0] >= 0 for i, k in keys], dtype=float)
     found = milp(
@@ -136,15 +132,14 @@ def idle_directions(plane, points, law):
     return found[0]
 
 
-@pytest.mark.parametrize("seed", [0, 1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 30))])
+@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 6))])
 @pytest.mark.parametrize("scene", SCENES)
 def test_the_optimum_is_that_of_an_integer_program_with_sampled_conflicts(scene, seed):
     make, law = SCENES[scene]
     plane, rng = make(), np.random.default_rng([seed, len(scene)])
     half = np.abs(plane.xy.value).max()
     points = rng.uniform(-half, half, (rng.integers(8, 16), 2))
-    directions = idle_directions(plane, points, law)
-    best, collisions = best_number(plane, points, law, directions)
+    best, collisions = best_number(plane, points, law, idle_directions(plane, points, law))
     answers = {}
     for allocator in ("optimal", "repair"):
         options = rs.AllocationOptions(allocator, constraints=[rs.constraints.Motion("fold", law)])
@@ -162,18 +157,15 @@ def test_ignored_idle_arms_beside_obstacles():
     """Regression: an idle arm that is ignored, and that could touch an obstacle, raised an IndexError."""
     unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
     plane = rs.FocalPlane([[0, 0]] * u.mm, unit, obstacles=[[9, 0, 1]] * u.mm)
-    found = rs.collision.find_motion(plane, [[np.nan] * 2] * u.mm, parked_obstacles=False)
-    assert found.n_planner == 0
+    assert rs.collision.find_motion(plane, [[np.nan] * 2] * u.mm, parked_obstacles=False).n_planner == 0
 
 
 def test_idle_arms_turn_within_their_joint_limits():
     """Regression: a folded idle arm was turned to a direction outside of its range of theta."""
     unit = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
-    limits = [[np.nan] * 2, [-10, 10]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit, theta_range=limits)
+    plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit, theta_range=[[np.nan] * 2, [-10, 10]] * u.deg)
     options = rs.AllocationOptions("optimal", constraints="motion fold")
-    found = rs.allocate(plane, [[20, 0]] * u.mm, allocator=options)
-    assert (found.target_of_positioner < 0).all()
+    assert (rs.allocate(plane, [[20, 0]] * u.mm, allocator=options).target_of_positioner < 0).all()
     free = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, unit)
     assert rs.allocate(free, [[20, 0]] * u.mm, allocator=options).target_of_positioner.tolist() == [0, -1]
 

@@ -45,8 +45,7 @@ def motion_of(plane, found, law):
             offset = unit.numbers.arm_angles(plane.fiber_types)[plane.fiber_types.index(kind)]
             length = unit.numbers.arm_length
         x, y = plane.xy[i].to_value(MM)
-        angle = theta + phi + offset
-        turn = fold - offset - phi if has_target else 0.0
+        angle, turn = theta + phi + offset, fold - offset - phi if has_target else 0.0
         angle = angle if has_target else theta + fold
         arms.append(MovingArm(x + l1 * np.cos(theta), y + l1 * np.sin(theta), angle, turn, inner, length, i))
         directions.append(theta)

@@ -9,27 +9,35 @@ import pytest
 import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram, counts, groups_of
-from scenes import SEVERAL, random_scene
+from scenes import KINDS, SEVERAL, random_scene
 
 MM = u.mm
-N_SCENES, CHUNK = 300, 20
-EXHAUSTIVE = pytest.mark.exhaustive
+CHUNK = 20
+in_chunks = pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 5))])
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_SCENES // CHUNK))])
+def scenes_of(chunk, kinds=KINDS):
+    """Yield the scenes of a chunk, and the integer program of each scene, without subpriorities."""
+    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+        plane, xy, options, rng = random_scene(seed, kinds)
+        yield seed, plane, xy, options, rng, program_of(plane, xy, options, np.zeros(len(xy)))
+
+
+def program_of(plane, xy, options, subpriority):
+    required = np.isin(np.arange(len(xy)), options["required"])
+    return LexicographicProgram(plane, xy, subpriority, **{**options, "required": required})
+
+
+@in_chunks
 def test_no_objective_is_worse_than_in_the_best_plan(chunk):
     """A step that separated idle arms once kept the numbers of targets, but lost the sum of their subpriorities.
 
     The sum of the subpriorities takes precedence over the collisions of idle arms.
     """
-    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
-        plane, xy, options, rng = random_scene(seed)
+    for seed, plane, xy, options, rng, _ in scenes_of(chunk):
         subpriority = rng.random(len(xy))
-        required = np.isin(np.arange(len(xy)), options["required"])
-        oracle = LexicographicProgram(plane, xy, subpriority, **{**options, "required": required})
-        found = flat.allocate(plane, xy * MM, "optimal", **options)
-        best = oracle.best()
+        oracle = program_of(plane, xy, options, subpriority)
+        found, best = flat.allocate(plane, xy * MM, "optimal", **options), oracle.best()
         np.testing.assert_array_equal(oracle.values(found.target_of_positioner)[:-1], best[:-1], err_msg=str(seed))
         allocator, others = flat.split("optimal", dict(options), flat.NAMES - {"required", "keep_out", "subpriority"})
         found = rs.allocate(plane, xy * MM, allocator=allocator, subpriority=subpriority, **others)
@@ -40,47 +48,12 @@ def test_no_objective_is_worse_than_in_the_best_plan(chunk):
         assert (np.abs(values - best) <= tolerance).all(), (seed, values, best)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_SCENES // CHUNK))])
-def test_targets_count_toward_the_requirements_on_all_of_their_roles(chunk):
-    """A target had one kind: required standards were missing although science targets that are standards had fibers."""
-    n_both = 0
-    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
-        plane, xy, options, _ = random_scene(seed, SEVERAL)
-        required = np.isin(np.arange(len(xy)), options["required"])
-        oracle = LexicographicProgram(plane, xy, np.zeros(len(xy)), **{**options, "required": required})
-        found = flat.allocate(plane, xy * MM, "optimal", **options)
-        best = oracle.best()
-        np.testing.assert_array_equal(oracle.values(found.target_of_positioner), best, err_msg=str(seed))
-        bounds = {level.name: level.bound for level in found.levels}
-        if "requirements" in bounds:
-            assert bounds["requirements"] >= best[1], seed
-        for allocator in ("repair", "lamost_rule", "network_flow"):
-            other = flat.allocate(plane, xy * MM, allocator, **options)
-            fibers = other.target_of_positioner[other.target_of_positioner >= 0]
-            for one in options["requirements"]:
-                names = options["category"] if (options["category"] == one.what).any() else options["kind"]
-                n = sum(one.what in name.split("+") for name in names[fibers].tolist())
-                stated = [s.found for s in other.unmet if s.requirement == one]
-                assert (stated or [n]) == [n], (seed, allocator, one)
-                if allocator in ("repair", "network_flow") and one.maximum is not None:
-                    assert n <= one.maximum, (seed, allocator, one)
-            if allocator == "repair":
-                values = oracle.values(other.target_of_positioner)
-                assert tuple(values[:2]) <= tuple(best[:2]), seed
-        n_both += np.char.find(options["kind"][found.target_of_positioner[found.target_of_positioner >= 0]], "+").max(
-            initial=0
-        )
-    assert n_both > 0
-
-
 def divided_scene(seed):
     """Return a scene of targets with several roles, with requirements per spectrograph and on fiber types."""
     plane, xy, options, rng = random_scene(seed, SEVERAL)
     n, m = len(plane), len(xy)
     fibers = np.append(["A+B"], rng.choice(["A+B", "B+A", "B"], n - 1))
-    spectrograph = rng.integers(0, 2, (n, 2) if seed % 2 else n)
-    plane = replace(plane, fiber_type=fibers, spectrograph=spectrograph)
+    plane = replace(plane, fiber_type=fibers, spectrograph=rng.integers(0, 2, (n, 2) if seed % 2 else n))
     requirements = []
     for what in rng.choice(["sky", "standard", "good", "science"], rng.integers(1, 4), replace=False).tolist():
         low = int(rng.integers(0, 4)) if what != "science" else 0
@@ -95,7 +68,7 @@ def check_counts(plane, options, found, seed, allocator):
 
     Of the allocators that are tested here, only ``lamost_rule`` ignores maxima.
     """
-    columns = {name: options[name] for name in ("kind", "category", "fiber_type")}
+    columns = {name: options.get(name) for name in ("kind", "category", "fiber_type")}
     fibers = [(i, t) for i, t in enumerate(found.target_of_positioner.tolist()) if t >= 0]
     lacking = {}
     for one, place in groups_of(plane, options["requirements"]):
@@ -110,15 +83,18 @@ def check_counts(plane, options, found, seed, allocator):
     return len(stated)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("chunk", [0, 1, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(2, N_SCENES // CHUNK))])
-def test_several_roles_count_toward_requirements_per_spectrograph_and_on_fiber_types(chunk):
-    """The bound of each objective holds for all plans with the same values of the earlier objectives."""
+@in_chunks
+@pytest.mark.parametrize("divided", [False, True])
+def test_targets_count_toward_the_requirements_on_all_of_their_roles(chunk, divided):
+    """A target had one kind: required standards were missing although science targets that are standards had fibers.
+
+    The bound of each objective holds for all plans with the same values of the earlier objectives. The requirements of
+    divided scenes are per spectrograph and on fiber types.
+    """
     n_both = n_short = n_lower = 0
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
-        plane, xy, options = divided_scene(seed)
-        required = np.isin(np.arange(len(xy)), options["required"])
-        oracle = LexicographicProgram(plane, xy, np.zeros(len(xy)), **{**options, "required": required})
+        plane, xy, options = divided_scene(seed) if divided else random_scene(seed, SEVERAL)[:3]
+        oracle = program_of(plane, xy, options, np.zeros(len(xy)))
         found, best = flat.allocate(plane, xy * MM, "optimal", **options), oracle.best()
         np.testing.assert_array_equal(oracle.values(found.target_of_positioner), best, err_msg=str(seed))
         is_science = np.char.find(options["kind"], "science") >= 0
@@ -147,17 +123,14 @@ def test_several_roles_count_toward_requirements_per_spectrograph_and_on_fiber_t
     assert n_lower > 0
 
 
-@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(1, N_SCENES // CHUNK))])
+@in_chunks
 def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(chunk):
     """Regression: with few fibers, a plan changed an idle fiber although it could change only a used fiber."""
     n_changed = 0
-    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
-        plane, xy, options, rng = random_scene(seed)
+    for seed, plane, xy, options, rng, oracle in scenes_of(chunk):
         late = np.flatnonzero(rng.random(len(xy)) < 0.2)
         forbidden = [(i, t) for i in range(len(plane)) for t in late.tolist()]
         before = flat.allocate(plane, xy * MM, "optimal", forbidden=forbidden, **options)
-        required = np.isin(np.arange(len(xy)), options["required"])
-        oracle = LexicographicProgram(plane, xy, np.zeros(len(xy)), **{**options, "required": required})
         for (i, k), column in oracle.column.items():
             old, new = before.target_of_positioner[i], oracle.choices[i][k][0] if k else -1
             oracle.goals[-1, column] = -float(old != new)

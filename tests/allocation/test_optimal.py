@@ -10,15 +10,12 @@ from brute import best_plan, bodies_of, conflicts_of, options_of
 from scenes import random_plane
 
 MM = u.mm
-N_CASES = 500
-CHUNK = 25
-EXHAUSTIVE = pytest.mark.exhaustive
+CHUNK, EXHAUSTIVE = 25, pytest.mark.exhaustive
 
 
 def random_case(seed, *, quotas):
     rng = np.random.default_rng(seed)
-    plane = random_plane(rng)
-    m = int(rng.integers(1, 10))
+    plane, m = random_plane(rng), int(rng.integers(1, 10))
     xy = plane.arrays.xy[rng.integers(len(plane), size=m)] + rng.uniform(-16, 16, (m, 2))
     options = {"priority": rng.integers(0, rng.integers(1, 4), m).astype(float)}
     if plane.fiber_types != ("",):
@@ -48,14 +45,12 @@ def random_case(seed, *, quotas):
 
 def judge(plane, xy, options):
     """Return a function that computes the value of a plan as a tuple, or None if the plan exceeds a maximum."""
-    m = len(xy)
-    priority = options["priority"]
+    m, priority = len(xy), options["priority"]
     kind = options.get("kind", np.full(m, "science"))
     category = options.get("category", np.full(m, ""))
     fibers = options.get("fiber_type", np.full(m, ""))
     required = np.isin(np.arange(m), options.get("required", []))
-    first = [row.split("+")[0] for row in plane.fiber_type]
-    science = kind == "science"
+    first, science = [row.split("+")[0] for row in plane.fiber_type], kind == "science"
 
     def spectrograph(i, t):
         if plane.spectrograph.ndim == 1:
@@ -67,8 +62,7 @@ def judge(plane, xy, options):
         return named and one.fiber_type in ("", fibers[t] or first[i])
 
     def value(plan):
-        pairs = [(i, option[0]) for i, option in enumerate(plan) if option is not None]
-        lack = 0
+        pairs, lack = [(i, option[0]) for i, option in enumerate(plan) if option is not None], 0
         for one in options.get("requirements", ()):
             places = [None] if one.per == "tile" else sorted(set(plane.spectrograph.ravel().tolist()))
             for place in places:
@@ -89,7 +83,7 @@ def judge(plane, xy, options):
 @pytest.mark.few(4)
 @pytest.mark.parametrize("quotas", [False, True])
 @pytest.mark.parametrize("method", ["network_flow", "optimal"])
-@pytest.mark.parametrize("chunk", [*range(6), *(pytest.param(k, marks=EXHAUSTIVE) for k in range(6, N_CASES // CHUNK))])
+@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in range(1, 8))])
 def test_no_plan_is_better(method, chunk, quotas):
     for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
         plane, xy, options = random_case(seed, quotas=quotas)

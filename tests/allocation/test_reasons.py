@@ -5,6 +5,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.allocation import IDLE_REASONS, IdleReason, find_idle_reasons
@@ -71,8 +72,7 @@ def search(plane, plan, types):
 def test_reasons_are_those_of_a_search_over_single_moves(name):
     plane, seen = planes()[name], set()
     for seed in range(6):
-        rng = np.random.default_rng(seed)
-        n = (6, 40, 40, 70, 70, 40)[seed]
+        rng, n = np.random.default_rng(seed), (6, 40, 40, 70, 70, 40)[seed]
         points = rng.uniform(-55, 55, (n, 2))
         types = rng.choice(["", "A", "B"], n) if name == "fiber types" else np.full(n, "")
         options = rs.AllocationOptions(("optimal", "lamost_rule")[seed % 3 == 2], parked_obstacles=seed % 2 == 0)
@@ -94,31 +94,13 @@ def test_reasons_are_those_of_a_search_over_single_moves(name):
 
 
 def test_a_free_target_that_does_not_collide_is_reported():
-    plane = rs.FocalPlane([[0, 0], [40, 0]] * u.mm, EQUAL)
-
-    def lazy(problem):
-        return np.array([0, -1])
-
-    plan = rs.allocate(plane, [[5, 0], [45, 0]] * u.mm, allocator=lazy)
+    plane, xy = rs.FocalPlane([[0, 0], [40, 0]] * u.mm, EQUAL), [[5, 0], [45, 0]] * u.mm
+    plan = rs.allocate(plane, xy, allocator=lambda _: np.array([0, -1]))
     found = find_idle_reasons(plane, plan, plan.place_arms(plane))
-    assert found.positioner.tolist() == [1]
-    assert found.reason.tolist() == [IdleReason.FREE_TARGET]
+    assert (found.positioner.tolist(), found.reason.tolist()) == ([1], [IdleReason.FREE_TARGET])
     assert (found.target.tolist(), found.blocked_by) == ([1], [[]])
-
-
-def test_no_positioner_is_idle():
-    plane = rs.FocalPlane([[0, 0]] * u.mm, EQUAL)
-    plan = rs.allocate(plane, [[5, 0]] * u.mm, allocator="balanced")
-    found = find_idle_reasons(plane, plan, plan.place_arms(plane))
-    assert [len(column) for column in found] == [0] * 7
-
-
-def test_every_reason_has_a_text():
     assert len(IDLE_REASONS) == len(IdleReason)
-
-
-def test_a_plan_of_another_focal_plane_is_refused():
-    one, two = (rs.FocalPlane([[40 * k, 0] for k in range(n)] * u.mm, EQUAL) for n in (1, 2))
-    plan = rs.allocate(one, [[5, 0]] * u.mm, allocator="balanced")
-    with pytest.raises(rs.InputError, match="allocation must have the 2 positioners"):
-        find_idle_reasons(two, plan, plan.place_arms(one))
+    full = rs.allocate(plane, xy, allocator="balanced")  # no positioner is idle
+    assert [len(column) for column in find_idle_reasons(plane, full, full.place_arms(plane))] == [0] * 7
+    other = rs.FocalPlane([[0, 0]] * u.mm, EQUAL)
+    refused("allocation must have the 1 positioner", find_idle_reasons, other, full, full.place_arms(plane))

@@ -32,8 +32,7 @@ def test_no_plan_that_uses_enough_candidates_of_a_set_exceeds_the_bound(seed):
         assert (prices.price <= prices.highest).all()
     # a candidate that was omitted counts, and belongs to the sets of which a plan must use a number
     is_free = np.arange(6) == 0
-    free = RowPrices(start, matrix, most, is_free, 2)
-    bound = free.improve(weights, SWEEPS, lambda: False)
+    bound = RowPrices(start, matrix, most, is_free, 2).improve(weights, SWEEPS, lambda: False)
     sets, least, weights = (
         np.append(one, rest, axis=-1)
         for one, rest in (

@@ -47,17 +47,17 @@ def test_a_bound_is_a_bound_when_time_is_up(seed, milliseconds):
     assert len(rs.find_collisions(plane, found).pairs) == 0
 
 
+UNPROVEN_PLANS = [
+    (3, "priority", 0),
+    (3, "count", 0),
+    (40, "count", 0),
+    pytest.param(40, "priority", 0, marks=EXHAUSTIVE),
+    *(pytest.param(n, objective, 1, marks=EXHAUSTIVE) for n in (3, 40) for objective in ("priority", "count")),
+]
+
+
 @pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("n_classes", "objective", "seed"),
-    [
-        (3, "priority", 0),
-        (3, "count", 0),
-        (40, "count", 0),
-        pytest.param(40, "priority", 0, marks=EXHAUSTIVE),
-        *(pytest.param(n, objective, 1, marks=EXHAUSTIVE) for n in (3, 40) for objective in ("priority", "count")),
-    ],
-)
+@pytest.mark.parametrize(("n_classes", "objective", "seed"), UNPROVEN_PLANS)
 def test_unproven_plans_are_honest(n_classes, objective, seed):
     unit = rs.Positioner(7.4 * MM, 15 * MM, 2.5391 * MM)
     plane = rs.FocalPlane.hexagonal(unit, rings=9, pitch=22.4 * MM)
@@ -88,8 +88,7 @@ def test_larger_fields_against_a_plain_integer_program(seed, parked):
     plane = dense_plane(rings=3)
     xy, _ = sparse_targets(plane, seed)
     found = rs.allocate(plane, xy * MM, allocator=rs.AllocationOptions("optimal", parked_obstacles=parked))
-    assert found.n_assigned == edges_alone(plane, xy, parked)
-    assert found.gap == 0
+    assert (found.n_assigned, found.gap) == (edges_alone(plane, xy, parked), 0)
     wide = rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM), rings=3, pitch=22.4 * MM)
     xy, _ = sparse_targets(wide, seed + 100)
     assert rs.allocate(wide, xy * MM, allocator="optimal").n_assigned == edges_alone(wide, xy, True)
@@ -149,8 +148,7 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
     for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
         monkeypatch.setattr(f"rfpsurvey.allocation._lexicographic.{name}", value)
     found = flat.allocate(plane, xy, **options)
-    assert found.levels == usual.levels
-    assert found.gap == 0
+    assert (found.levels, found.gap) == (usual.levels, 0)
 
 
 def random_conflicts(rng):
@@ -209,18 +207,15 @@ def plans(options, pairs, alive):
 @pytest.mark.parametrize("seeds", [range(500), pytest.param(range(500, 1500), marks=pytest.mark.exhaustive)])
 def test_reduction_keeps_a_best_plan_and_leaves_nothing_that_decided_ones_exclude(seeds):
     for seed in seeds:
-        rng = np.random.default_rng(seed)
-        options, pairs = random_conflicts(rng)
+        options, pairs = random_conflicts(np.random.default_rng(seed))
         # without requirements, all keys are equivalent
         free = options._replace(key=np.zeros_like(options.key), as_good=np.ones((1, 1), bool))
         for case, with_keys in ((free, False), (options, True)):
-            everything = np.ones(len(options.owner), bool)
-            before = list(plans(case, pairs, everything))
+            before = list(plans(case, pairs, np.ones(len(options.owner), bool)))
             if not before:
                 continue
             alive = reduced(case)
-            after = list(plans(case, pairs, alive))
-            weigh = [lambda p: (p[1], p[3])]
+            after, weigh = list(plans(case, pairs, alive)), [lambda p: (p[1], p[3])]
             if with_keys:  # for any requirement on one key
                 weigh = [lambda p, k=k, s=s: (s * p[2][k], p[1]) for k in (0, 1) for s in (1,) if case.as_good[k, 2]]
             for worth in weigh:
@@ -253,8 +248,7 @@ def test_sky_of_stuck_fibers_counts_toward_a_maximum(options):
     if options["method"] == "repair":
         options = {**options, "start": rs.allocate(plane, xy, allocator="network_flow", kind=["sky"])}
     found = flat.allocate(plane, xy, requirements=["sky=1-2"], sky_separation=1 * MM, kind=["sky"], **options)
-    assert found.n_assigned == 2
-    assert found.unmet == ()
+    assert (found.n_assigned, found.unmet) == (2, ())
 
 
 @pytest.mark.parametrize("method", ["optimal", "repair"])
@@ -297,8 +291,7 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
 def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypatch, pitch, expected):
     """Regression: the presolve step took up to 400 s with a limit of 5 s, for arms of 16.5 mm at a pitch of 5 mm."""
     unit = rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM)
-    plane = rs.FocalPlane.hexagonal(unit, rings=5, pitch=pitch * MM)
-    rng = np.random.default_rng(5)
+    plane, rng = rs.FocalPlane.hexagonal(unit, rings=5, pitch=pitch * MM), np.random.default_rng(5)
     r, angle = 1.3 * 5 * pitch * np.sqrt(rng.random(91)), 2 * np.pi * rng.random(91)
     said = []
 

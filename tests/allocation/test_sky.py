@@ -48,8 +48,7 @@ def check_columns(found, xy):
     assert len(found.xy) == len(found.positioner_of_target) == n + len(own)
     np.testing.assert_array_equal(found.xy[:n].value, xy)
     assert sorted(rows) == list(range(n, n + len(own)))
-    used = np.flatnonzero(found.target_of_positioner >= 0)
-    expected = np.full(n + len(own), -1)
+    used, expected = np.flatnonzero(found.target_of_positioner >= 0), np.full(n + len(own), -1)
     expected[found.target_of_positioner[used]] = used
     np.testing.assert_array_equal(found.positioner_of_target, expected)
     np.testing.assert_array_equal(found.tips[used].value, found.xy[found.target_of_positioner[used]].value)
@@ -60,17 +59,13 @@ def check_columns(found, xy):
 @pytest.mark.parametrize("name", PLANES)
 def test_found_sky_is_blank_and_in_reach(name, method, rng):
     plane = PLANES[name]
-    n = {"lamost_rule": 150, "network_flow": 60}.get(method, 100)
-    xy, separation = targets(rng, n), 4.0
-    found = rs.allocate(
-        plane, xy * MM, allocator=rs.AllocationOptions(method, requirements="sky=20", sky_separation=separation * MM)
-    )
+    xy, separation = targets(rng, {"lamost_rule": 150, "network_flow": 60}.get(method, 100)), 4.0
+    found = flat.allocate(plane, xy * MM, method, requirements="sky=20", sky_separation=separation * MM)
     check_columns(found, xy)
     own, rows = blank_of(found)
     stuck = plane.arrays.is_stuck[own]
     assert len(own) >= 10
-    tree = cKDTree(xy[np.isfinite(xy[:, 0])])
-    points = found.xy[rows].to_value(MM)
+    tree, points = cKDTree(xy[np.isfinite(xy[:, 0])]), found.xy[rows].to_value(MM)
     assert tree.query(points)[0].min() >= separation
     r = np.hypot(*(points - plane.arrays.xy[own]).T)
     l1 = np.full(37, plane.positioner.central_arm.value)
@@ -79,10 +74,8 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
     assert (r <= outer * (1 + 1e-12)).all()
     assert (r[~stuck] >= inner[~stuck]).all()
     assert not plane.disabled[own].any()
-    can = plane.reachable(found.xy).toarray()
-    assert can[own[~stuck], rows[~stuck]].all()
-    posed = found.place_arms(plane)
-    unit = plane.positioner
+    assert plane.reachable(found.xy).toarray()[own[~stuck], rows[~stuck]].all()
+    posed, unit = found.place_arms(plane), plane.positioner
     if unit.phi_range is not None:
         low, high = unit.phi_range.to_value(u.rad)
         assert ((posed.phi[own] >= low - 1e-9) & (posed.phi[own] <= high + 1e-9)).all()
@@ -98,11 +91,7 @@ def test_found_sky_is_blank_and_in_reach(name, method, rng):
 def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
     rng = np.random.default_rng(seed)
     xy = rng.uniform(-60, 60, (n, 2)).round(int(rng.integers(0, 3)))
-    found = rs.allocate(
-        PLANES[name],
-        xy * MM,
-        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=37", sky_separation=separation * MM),
-    )
+    found = flat.allocate(PLANES[name], xy * MM, "lamost_rule", requirements="sky=37", sky_separation=separation * MM)
     check_columns(found, xy)
     own, rows = blank_of(found)
     if n and len(own):
@@ -116,11 +105,7 @@ def test_whatever_the_separation_it_is_kept(seed, n, separation, name):
 def test_gaps_are_found_where_there_are_any(separation, rng):
     """A dense sample of a patrol area shows whether it contains a sufficiently wide gap."""
     plane, xy = lamost_like(), rng.uniform(-85, 85, (180, 2))
-    found = rs.allocate(
-        plane,
-        xy * MM,
-        allocator=rs.AllocationOptions("lamost_rule", requirements="sky=37", sky_separation=separation * MM),
-    )
+    found = flat.allocate(plane, xy * MM, "lamost_rule", requirements="sky=37", sky_separation=separation * MM)
     sees = set(blank_of(found)[0].tolist())
     grid = np.stack(np.meshgrid(*2 * [np.arange(-16.4, 16.5, 0.4)]), axis=-1).reshape(-1, 2)
     grid = grid[np.hypot(*grid.T) < 16.4]
@@ -138,8 +123,7 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
 @pytest.mark.parametrize("method", FILLING)
 @pytest.mark.parametrize("wishes", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
 def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
-    xy = targets(rng, 20)
-    options = {"method": method, "requirements": wishes}
+    xy, options = targets(rng, 20), {"method": method, "requirements": wishes}
     found = flat.allocate(two_fibers(), xy * MM, sky_separation=3 * MM, **options)
     without = flat.allocate(two_fibers(), xy * MM, **options)
     assert len(found.xy) == found.n_given == 20
@@ -157,11 +141,7 @@ def test_without_a_separation_nothing_is_invented(method, rng):
 @pytest.mark.parametrize("separation", [0 * MM, -1 * MM, np.nan * MM, 3, [1, 2] * MM, 3 * u.s])
 def test_a_separation_is_a_length(separation):
     with pytest.raises(rs.InputError, match="sky_separation.* must"):
-        rs.allocate(
-            lamost_like(),
-            [[0, 0]] * MM,
-            allocator=rs.AllocationOptions("balanced", requirements="sky=1", sky_separation=separation),
-        )
+        flat.allocate(lamost_like(), [[0, 0]] * MM, "balanced", requirements="sky=1", sky_separation=separation)
 
 
 @pytest.mark.parametrize("method", FILLING)
@@ -176,29 +156,20 @@ def test_sky_that_is_given_counts_and_found_sky_adds_to_it(method):
         priority=[3, 2, 0, 1],
         forbidden=[[0, 2]],
     )
-    assert found.unmet == ()
-    assert found.target_of_positioner[0] == 0
+    assert (found.unmet, found.target_of_positioner[0]) == ((), 0)
     assert sorted(found.target_of_positioner[1:]) == [4, 5]
-    found = rs.allocate(
-        plane,
-        xy,
-        allocator=rs.AllocationOptions(method, requirements="sky=3", sky_separation=2 * MM),
-        kind=["sky", "sky", "sky", "sky"],
+    found = flat.allocate(
+        plane, xy, method, requirements="sky=3", sky_separation=2 * MM, kind=["sky", "sky", "sky", "sky"]
     )
-    assert found.unmet == ()
-    assert found.n_assigned == 3
+    assert (found.unmet, found.n_assigned) == ((), 3)
 
 
 @pytest.mark.parametrize("method", FILLING)
 def test_each_fiber_type_has_sky_of_its_own(method, rng):
     plane = replace(two_fibers(), fiber_type=["B+A"] * 12 + ["A"] * 13 + ["B"] * 12)
-    xy = targets(rng, 80)
-    fiber = rng.choice(["A", "B", ""], 80)
-    found = rs.allocate(
-        plane,
-        xy * MM,
-        allocator=rs.AllocationOptions(method, requirements=["sky@A=7", "sky@B=8"], sky_separation=2 * MM),
-        fiber_type=fiber,
+    xy, fiber = targets(rng, 80), rng.choice(["A", "B", ""], 80)
+    found = flat.allocate(
+        plane, xy * MM, method, requirements=["sky@A=7", "sky@B=8"], sky_separation=2 * MM, fiber_type=fiber
     )
     check_columns(found, xy)
     assert found.unmet == ()
@@ -214,11 +185,8 @@ def test_each_fiber_type_has_sky_of_its_own(method, rng):
 @pytest.mark.parametrize("method", FILLING)
 def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     plane = replace(two_fibers(), spectrograph=np.column_stack([np.arange(37) % 2, np.arange(37) % 3]))
-    xy = targets(rng, 60)
-    wishes = ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
-    found = rs.allocate(
-        plane, xy * MM, allocator=rs.AllocationOptions(method, requirements=wishes, sky_separation=2 * MM)
-    )
+    xy, wishes = targets(rng, 60), ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
+    found = flat.allocate(plane, xy * MM, method, requirements=wishes, sky_separation=2 * MM)
     own, rows = blank_of(found)
     columns = plane.spectrograph[own, [plane.fiber_types.index(name) for name in found.target_fiber_type[rows]]]
     counts = {
@@ -228,11 +196,9 @@ def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     }
     lacking = {(s.requirement.fiber_type, s.spectrograph): s.found for s in found.unmet}
     for (name, place), n in counts.items():
-        most = {"A": 2, "B": 3}[name]
-        assert n == lacking[name, place] if (name, place) in lacking else n >= most
+        assert n == lacking[name, place] if (name, place) in lacking else n >= {"A": 2, "B": 3}[name]
     # fiber type B belongs only to spectrographs 0 and 1
-    assert set(lacking) == {("B", 2)}
-    assert lacking["B", 2] == 0
+    assert (set(lacking), lacking["B", 2]) == ({("B", 2)}, 0)
 
 
 def one_stuck(theta=30, phi=100):
@@ -248,16 +214,12 @@ def test_a_stuck_fiber_that_looks_at_blank_sky_is_a_sky_fiber(method):
     plane, tip = one_stuck()
     xy = [tip + [0, 2.01], [62, 0]] * MM
     found = rs.allocate(plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1", sky_separation=2 * MM))
-    assert found.target_of_positioner.tolist() == [2, 1]
-    assert found.unmet == ()
+    assert (found.target_of_positioner.tolist(), found.unmet) == ([2, 1], ())
     np.testing.assert_allclose(found.tips[0].value, tip, atol=1e-12)
     check_columns(found, xy.value)
-    again = rs.allocate(
-        plane, xy, allocator=rs.AllocationOptions(method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
-    )
+    again = flat.allocate(plane, xy, method, requirements="sky=1/spectrograph", sky_separation=2 * MM)
     if method in FILLING:
-        assert sorted(again.target_of_positioner) == [2, 3]
-        assert again.unmet == ()
+        assert (sorted(again.target_of_positioner), again.unmet) == ([2, 3], ())
     else:
         assert again.target_of_positioner.tolist() == [2, 1]
         assert [(s.spectrograph, s.found) for s in again.unmet] == [(2, 0)]
@@ -275,19 +237,15 @@ def test_a_stuck_fiber_that_looks_at_a_target_is_none(method):
     alone = replace(plane, stuck=[[30, 100], [0, 180]] * u.deg)
     found = rs.allocate(alone, xy, allocator=rs.AllocationOptions(method, requirements="sky=2", sky_separation=2 * MM))
     assert found.target_of_positioner.tolist() == [-1, -1]
-    found = rs.allocate(
-        alone, xy[:1], allocator=rs.AllocationOptions(method, requirements="sky=2", sky_separation=2 * MM)
-    )
+    found = flat.allocate(alone, xy[:1], method, requirements="sky=2", sky_separation=2 * MM)
     assert [str(s) for s in found.unmet] == ["sky targets: 1 of 2, 1 missing; only 1 is in reach"]
 
 
 @pytest.mark.parametrize("method", FILLING)
 def test_a_stuck_fiber_serves_one_fiber_type(method):
     plane = rs.FocalPlane([[0, 0], [60, 0]] * MM, UNIT, stuck=[[0, 90], [90, 90]] * u.deg, fiber_type=["A+B", "B"])
-    found = rs.allocate(
-        plane,
-        np.empty((0, 2)) * MM,
-        allocator=rs.AllocationOptions(method, requirements=["sky@A=1", "sky@B=2"], sky_separation=2 * MM),
+    found = flat.allocate(
+        plane, np.empty((0, 2)) * MM, method, requirements=["sky@A=1", "sky@B=2"], sky_separation=2 * MM
     )
     assert found.fiber_type.tolist() == ["A", "B"]
     assert [str(s) for s in found.unmet] == ["sky targets for B: 1 of 2, 1 missing; only 1 is in reach"]

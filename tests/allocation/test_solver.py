@@ -140,16 +140,15 @@ def test_a_failure_with_presolve_is_not_believed(monkeypatch, word):
         options = {"integral": integral, "gap": 0.0, "presolve": True}
         x, bound = _solver.maximize(rows, np.ones(2), np.ones(2), _solver.now() + 10, **options)
         assert (x.sum(), bound) == (pytest.approx(expected), pytest.approx(expected))
-        assert len(asked) == 2
-        assert asked[1].getOptionValue("presolve")[1] == "off"
+        assert (len(asked), asked[1].getOptionValue("presolve")[1]) == (2, "off")
         asked.clear()
         found = _solver.maximize(rows, np.ones(2), np.ones(2), _solver.now() + 10, **{**options, "presolve": False})
         assert found == (None, np.inf)
 
 
-@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 27))])
+@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 8))])
 def test_programs_have_the_same_optimum_with_and_without_presolve(monkeypatch, chunk):
-    """All chunks together solve more than 1000 programs."""
+    """All chunks together solve more than 240 programs."""
     real, solved = _solver.maximize, []
 
     def maximize(rows, goal, most, deadline, *, integral, gap, presolve, **more):

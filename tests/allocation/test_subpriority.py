@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import refused
 from scipy.stats import kstest
 
 import rfpsurvey as rs
@@ -81,22 +82,22 @@ def test_subpriorities_are_uniform_and_independent(text):
 @pytest.mark.parametrize("name", sorted(PLANES))
 @pytest.mark.parametrize("seed", range(25))
 def test_rules_serve_targets_in_this_order(name, seed):
+    """Only the order of the priorities and of the subpriorities matters."""
     plane, rng = PLANES[name], np.random.default_rng(seed)
     n = int(rng.integers(1, 40))
     xy, priority = rng.uniform(-45, 45, (n, 2)), rng.integers(0, 3, n)
     value = rng.permutation(n) / n
     order = np.argsort(-value)
-    place = np.argsort(order)
-    can = plane.reachable(xy * MM).toarray()
-    given = {"priority": priority, "subpriority": value}
+    place, can = np.argsort(order), plane.reachable(xy * MM).toarray()
 
-    def plan(allocator):
-        return rs.allocate(plane, xy * MM, allocator=allocator, **given)
+    def plan(allocator, priority=priority):
+        return rs.allocate(plane, xy * MM, allocator=allocator, priority=priority, subpriority=value)
 
     by_class = sorted(range(n), key=lambda t: (-priority[t], place[t]))
     assert plan("nearest").target_of_positioner.tolist() == targets_in_order(xy, plane.arrays.xy, can, by_class)
     expected = lamost_target(xy, plane.arrays.xy, can, priority, place)
-    assert plan("lamost_rule").target_of_positioner.tolist() == expected
+    for given in (priority, 10 * priority - 7.5):
+        assert plan("lamost_rule", given).target_of_positioner.tolist() == expected
     indptr, queue = plan("balanced").queues
     owner = np.array(balanced_owner(xy[order], plane.arrays.xy, can[:, order]))
     for i in range(len(plane)):
@@ -105,8 +106,7 @@ def test_rules_serve_targets_in_this_order(name, seed):
 
 def plans_of(plane, xy, collide):
     """Yield the targets of each plan, without collisions if ``collide`` is true."""
-    choices = options_of(plane, xy, None, both=False)
-    pairs = set()
+    choices, pairs = options_of(plane, xy, None, both=False), set()
     if collide:
         pairs, _ = conflicts_of(plane, bodies_of(plane, xy, choices, None, True))
     for picked in product(*(range(len(mine)) for mine in choices)):
@@ -204,8 +204,7 @@ def test_a_tile_depends_on_identifiers_and_not_on_rows(field, ids, rng):
 
 def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
     catalog, center = field
-    value = subpriorities(catalog.id, 4)
-    table = catalog.to_table()
+    value, table = subpriorities(catalog.id, 4), catalog.to_table()
     table["SUBPRIORITY"] = value
     kept = rs.Catalog.from_table(table, keep=["SUBPRIORITY"])
     options = rs.AllocationOptions("nearest", subpriority="SUBPRIORITY")
@@ -217,8 +216,7 @@ def test_a_column_of_the_catalog_gives_the_order(field, tmp_path):
         for folder in (None, tmp_path / "survey")
     ]
     for survey in surveys:
-        visits = survey.tile(0)
-        used = np.isfinite(by_seed["ra"])
+        visits, used = survey.tile(0), np.isfinite(by_seed["ra"])
         assert np.asarray(visits["target_id"]).tolist() == np.asarray(by_seed["target_id"])[used].tolist()
 
 
@@ -227,43 +225,21 @@ def test_equal_subpriorities_are_ordered_by_identifier(rng):
     assert ids[service_order(value, ids)].tolist() == list(range(50))
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: rs.AllocationOptions(subpriority=-1), "0 to 2\\^63 - 1, got -1"),
-        (lambda: rs.AllocationOptions(subpriority=1.5), "must be an integer, got 1.5"),
-        (lambda: rs.AllocationOptions(subpriority=True), "must be an integer, got True"),
-        (lambda: subpriorities([1.5], 0), "integers or text"),
-        (
-            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[np.nan], allocator="balanced"),
-            "a finite number for every target, but 1 of 1 rows",
-        ),
-        (
-            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=["a"], allocator="balanced"),
-            "must be numbers",
-        ),
-        (
-            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=[1, 2], allocator="balanced"),
-            "shape \\(1,\\), got \\(2,\\)",
-        ),
-        (
-            lambda: rs.allocate(
-                PLANES["equal"], [[0, 0]] * MM, allocator=rs.AllocationOptions(subpriority=1), subpriority=[1]
-            ),
-            "got both",
-        ),
-        (
-            lambda: rs.allocate(PLANES["equal"], [[0, 0]] * MM, allocator=rs.AllocationOptions(subpriority="S")),
-            "can be used only with a catalog, got 'S'",
-        ),
-    ],
-)
-def test_wrong_subpriorities_are_refused(call, message):
-    with pytest.raises(rs.InputError, match=message):
-        call()
+def test_wrong_subpriorities_are_refused(field):
+    def allocate(subpriority, allocator="balanced"):
+        return rs.allocate(PLANES["equal"], [[0, 0]] * MM, subpriority=subpriority, allocator=allocator)
 
-
-def test_a_column_that_does_not_exist_is_refused(field):
-    catalog, center = field
-    with pytest.raises(rs.InputError, match="got 'SUB'; additional columns: none"):
-        rs.plan_tile(catalog, "sdss_apo", center, allocator=rs.AllocationOptions(subpriority="SUB"))
+    for value, message in (
+        (-1, "0 to 2\\^63 - 1, got -1"),
+        (1.5, "must be an integer, got 1.5"),
+        (True, "must be an integer, got True"),
+    ):
+        refused(message, rs.AllocationOptions, subpriority=value)
+    refused("integers or text", subpriorities, [1.5], 0)
+    refused("a finite number for every target, but 1 of 1 rows", allocate, [np.nan])
+    refused("must be numbers", allocate, ["a"])
+    refused("shape \\(1,\\), got \\(2,\\)", allocate, [1, 2])
+    refused("got both", allocate, [1], rs.AllocationOptions(subpriority=1))
+    refused("can be used only with a catalog, got 'S'", allocate, None, rs.AllocationOptions(subpriority="S"))
+    own = rs.AllocationOptions(subpriority="SUB")
+    refused("got 'SUB'; additional columns: none", rs.plan_tile, field[0], "sdss_apo", field[1], allocator=own)

@@ -73,8 +73,7 @@ def test_the_sum_is_the_largest_of_plans_that_follow_rules_on_the_distribution_o
     n_searched = 0
     for seed in range(12):
         scene = Scene(seed)
-        worth = rs.allocation.subpriorities(scene.sky.id, 1)
-        plans = []
+        worth, plans = rs.allocation.subpriorities(scene.sky.id, 1), []
         for limit in (60, 1e-6):
             allocator = scene.options("optimal", subpriority=1, time_limit=limit * u.s)
             tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=allocator)
@@ -135,8 +134,7 @@ def test_the_bound_of_the_solver_is_used_if_it_ends_before_the_best_plan(monkeyp
         monkeypatch.setattr(_Pursuit, "maximize", stopped)
         return rs.allocate(plane, xy, allocator="optimal", **columns)
 
-    best = plan(lambda self, x, bound: (x, bound))
-    none = plan(lambda self, x, bound: (None, bound))
+    best, none = plan(lambda self, x, bound: (x, bound)), plan(lambda self, x, bound: (None, bound))
     worst = plan(lambda self, x, bound: (maximize(self, self.program.costs, self.solved, np.inf)[0], bound))
     assert best.gap == 0
     assert best.meta["n_parts"] > 1
@@ -157,8 +155,7 @@ def test_a_tile_and_a_joint_plan_of_one_tile_have_the_same_sum():
     tiling = QTable({"tile": [0], "ra": [150.0] * u.deg, "dec": [2.0] * u.deg})
     options = rs.AllocationOptions("optimal", requirements=["sky=5"], subpriority="random")
     coord = center.spherical_offsets_by(*rng.uniform(-0.25, 0.25, (2, 200)) * u.deg)
-    kind = np.where(rng.random(200) < 0.3, "sky", "science")
-    random = {"random": rng.random(200)}
+    kind, random = np.where(rng.random(200) < 0.3, "sky", "science"), {"random": rng.random(200)}
     catalog = rs.Catalog(coord, id=np.arange(200), priority=rng.integers(0, 3, 200), kind=kind, extra=random)
     tile = rs.plan_tile(catalog, instrument, center, allocator=options)
     name, value, bound = tile.summary["objectives"][-1]

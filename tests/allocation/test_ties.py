@@ -91,14 +91,12 @@ def test_a_requirement_that_is_met_anyway_changes_nothing(name):
 def test_a_requirement_that_matters_changes_no_more_than_necessary():
     """A requirement for five more targets of a category once gave up to 30 more targets of this category."""
     for seed in range(5):
-        rng = np.random.default_rng(seed)
-        xy, columns = field(rng, 300)
+        xy, columns = field(np.random.default_rng(seed), 300)
         columns["priority"] = None
         free = rs.allocate(PLANE, xy, allocator="optimal")
         n = int((columns["category"][free.target_of_positioner[free.target_of_positioner >= 0]] == "good").sum())
         asked = rs.AllocationOptions("optimal", requirements=[f"good={n + 2}"])
-        plan = rs.allocate(PLANE, xy, allocator=asked, **columns)
-        random = np.empty(len(xy))
+        plan, random = rs.allocate(PLANE, xy, allocator=asked, **columns), np.empty(len(xy))
         random[tie_order(xy.value)] = np.sort(np.random.default_rng(0).random(len(xy)))[::-1]
         exact = rs.allocate(PLANE, xy, allocator=asked, subpriority=random, **columns)
         assert plan.n_assigned == free.n_assigned

@@ -32,44 +32,21 @@ def told_by(call):
 def test_the_table_contains_only_options_and_those_that_affect_every_allocator_are_not_in_it():
     names = {field.name for field in fields(rs.AllocationOptions)} - {"allocator"}
     assert {*OPTIONS} - {"rng"} <= names - {*INDEPENDENT}
-    assert {"requirements", "objective", "time_limit", "start", "required", "subpriority", "moves", "programs"} <= {
-        *OPTIONS
-    }
+    some = {"requirements", "objective", "time_limit", "start", "required", "subpriority", "moves", "programs"}
+    assert some <= {*OPTIONS}
 
 
+EFFECT = "has no effect with the allocator"
+RNG = f"rng {EFFECT} 'network_flow'; only balanced uses it"
+PARKED = "parked_obstacles has no effect because no positioner has two arms of equal"
 UNUSED = [
-    (
-        "lamost_rule",
-        {"objective": "count"},
-        "objective has no effect with the allocator 'lamost_rule'; only network_flow and optimal use it",
-    ),
-    (
-        "repair",
-        {"time_limit": 5 * u.s},
-        "time_limit has no effect with the allocator 'repair'; only network_flow and optimal use",
-    ),
-    ("optimal", {"start": "nearest"}, "start has no effect with the allocator 'optimal'; only repair uses it"),
-    (
-        "nearest",
-        {"requirements": "sky=2"},
-        "requirements has no effect with the allocator 'nearest'; only lamost_rule, network_flow,",
-    ),
-    (
-        "balanced",
-        {"required": [3]},
-        "required has no effect with the allocator 'balanced'; only nearest, lamost_rule, network_flow,",
-    ),
-    ("network_flow", {"rng": 3}, "rng has no effect with the allocator 'network_flow'; only balanced uses it"),
-    (
-        "network_flow",
-        {"rng": np.random.default_rng(1)},
-        "rng has no effect with the allocator 'network_flow'; only balanced uses it",
-    ),
-    (
-        "lamost_rule",
-        {"parked_obstacles": False},
-        "parked_obstacles has no effect because no positioner has two arms of equal",
-    ),
+    ("lamost_rule", {"objective": "count"}, f"objective {EFFECT} 'lamost_rule'; only network_flow and optimal use it"),
+    ("repair", {"time_limit": 5 * u.s}, f"time_limit {EFFECT} 'repair'; only network_flow and optimal use"),
+    ("optimal", {"start": "nearest"}, f"start {EFFECT} 'optimal'; only repair uses it"),
+    ("nearest", {"requirements": "sky=2"}, f"requirements {EFFECT} 'nearest'; only lamost_rule, network_flow,"),
+    ("balanced", {"required": [3]}, f"required {EFFECT} 'balanced'; only nearest, lamost_rule, network_flow,"),
+    *(("network_flow", {"rng": rng}, RNG) for rng in (3, np.random.default_rng(1))),
+    ("lamost_rule", {"parked_obstacles": False}, PARKED),
 ]
 
 
@@ -77,8 +54,7 @@ UNUSED = [
 @pytest.mark.parametrize(("allocator", "options", "words"), UNUSED)
 def test_plans_warn_of_an_option_that_the_allocator_does_not_use(sky, allocator, options, words):
     own = {name: value for name, value in options.items() if name != "rng"}
-    rng = options.get("rng", 0)
-    asked = rs.AllocationOptions(allocator, **own)
+    rng, asked = options.get("rng", 0), rs.AllocationOptions(allocator, **own)
     calls = {
         "plan_tile": lambda: rs.plan_tile(sky, "moons", CENTER, allocator=asked, rng=rng),
         "plan_survey": lambda: rs.plan_survey(sky, "moons", TILES, allocator=asked, rng=rng),

@@ -8,6 +8,7 @@ from astropy.coordinates import FK5, AltAz, Galactic, SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
 from erfa import ErfaWarning
+from raising import refused, warned
 
 import rfpsurvey as rs
 
@@ -19,17 +20,17 @@ def table(**more):
     return QTable({"ra": [10.0, 20.0, 30.0] * DEG, "dec": [-5.0, 0.0, 5.0] * DEG, **more})
 
 
-@pytest.mark.parametrize(
+USUAL_NAMES = [
     ("ra", "dec"),
-    [
-        ("ra", "dec"),
-        ("RAJ2000", "DEJ2000"),
-        ("TARGET_RA", "TARGET_DEC"),
-        ("RA_ICRS", "DE_ICRS"),
-        ("RA", "DEC"),
-        ("Ra_Deg", "dec_deg"),
-    ],
-)
+    ("RAJ2000", "DEJ2000"),
+    ("TARGET_RA", "TARGET_DEC"),
+    ("RA_ICRS", "DE_ICRS"),
+    ("RA", "DEC"),
+    ("Ra_Deg", "dec_deg"),
+]
+
+
+@pytest.mark.parametrize(("ra", "dec"), USUAL_NAMES)
 def test_usual_names_are_found(ra, dec):
     catalog = rs.Catalog.from_table(QTable({ra: [1.0] * DEG, dec: [2.0] * DEG}))
     assert (catalog.coord.ra[0].deg, catalog.coord.dec[0].deg) == (1, 2)
@@ -46,8 +47,7 @@ def test_columns_are_found_by_ucd():
     t["err"].meta["ucd"] = "stat.error;pos.eq.ra"
     t["alpha_x"].unit = t["delta_x"].unit = DEG
     catalog = rs.Catalog.from_table(t)
-    assert catalog.coord.ra[0].deg == 1
-    assert catalog.id.tolist() == [7]
+    assert (catalog.coord.ra[0].deg, catalog.id.tolist()) == (1, [7])
 
 
 def test_columns_and_units_can_be_given():
@@ -56,8 +56,7 @@ def test_columns_and_units_can_be_given():
         t, columns={"ra": "a", "dec": "b", "priority": "-rank", "id": "star"}, units={"ra": "deg", "dec": "arcmin"}
     )
     np.testing.assert_allclose(catalog.coord.dec.deg, [1, 2])
-    assert catalog.priority.tolist() == [-1, -2]
-    assert catalog.id.tolist() == ["x", "y"]
+    assert (catalog.priority.tolist(), catalog.id.tolist()) == ([-1, -2], ["x", "y"])
 
 
 def test_everything_that_a_catalog_can_carry():
@@ -77,9 +76,7 @@ def test_everything_that_a_catalog_can_carry():
     assert catalog.has_proper_motion
     np.testing.assert_allclose(catalog.epoch.jyear, [2015.5, 2016, 2016])
     part = catalog[1:]
-    assert len(part) == 2
-    assert part.id.tolist() == [2**60 + 2, 3]
-    assert part.fiber_type.tolist() == ["BOSS", "APOGEE"]
+    assert (len(part), part.id.tolist(), part.fiber_type.tolist()) == (2, [2**60 + 2, 3], ["BOSS", "APOGEE"])
     np.testing.assert_allclose(part.epoch.jyear, 2016)
 
 
@@ -96,8 +93,7 @@ def test_files_are_read_through_astropy(tmp_path, suffix):
         t.write(path, **({"format": "votable"} if suffix == ".vot" else {}))
     catalog = rs.Catalog.read(path)
     np.testing.assert_allclose(catalog.coord.ra.deg, [10, 20, 30])
-    assert catalog.id.tolist() == [2**60, 5, 6]
-    assert catalog.priority.tolist() == [1, 2, 3]
+    assert (catalog.id.tolist(), catalog.priority.tolist()) == ([2**60, 5, 6], [1, 2, 3])
     assert catalog.meta["file"] == path.name
 
 
@@ -120,8 +116,7 @@ def test_write_then_read(tmp_path, suffix):
     np.testing.assert_array_equal(second.id, first.id)
     assert second.epoch.jyear == pytest.approx(2016)
     assert (path.read_bytes()[:2] == b"\x1f\x8b") == suffix.endswith(".gz")
-    with pytest.raises(rs.InputError, match="exists; to replace it, use overwrite=True"):
-        first.write(path)
+    refused("exists; to replace it, use overwrite=True", first.write, path)
     first.write(path, overwrite=True)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
 
@@ -131,12 +126,8 @@ def test_any_frame_will_do(frame):
     coord = SkyCoord([10, 20] * DEG, [30, 40] * DEG)
     catalog = rs.Catalog(coord.transform_to(frame))
     np.testing.assert_allclose(catalog.arrays.vectors, coord.cartesian.xyz.value.T, atol=1e-14)
-
-
-def test_galactic_columns():
-    c = SkyCoord([10, 20] * DEG, [30, 40] * DEG).galactic
-    catalog = rs.Catalog.from_table(QTable({"l": c.l, "b": c.b}), frame="galactic")
-    np.testing.assert_allclose(catalog.coord.icrs.ra.deg, [10, 20])
+    table = QTable({"l": coord.galactic.l, "b": coord.galactic.b})
+    np.testing.assert_allclose(rs.Catalog.from_table(table, frame="galactic").coord.icrs.ra.deg, [10, 20])
 
 
 def test_sexagesimal_text_and_csv_without_units(tmp_path):
@@ -151,10 +142,8 @@ def test_sexagesimal_text_and_csv_without_units(tmp_path):
 def test_coordinates_that_are_not_finite_are_dropped_and_counted():
     t = table(id=[1, 2, 3], priority=[1, 2, 3])
     t["ra"][1] = np.nan
-    with pytest.warns(rs.RfpsurveyWarning, match="1 of 3 targets have no finite coordinates"):
-        catalog = rs.Catalog.from_table(t)
-    assert catalog.n_dropped == 1
-    assert catalog.id.tolist() == [1, 3]
+    catalog = warned("1 of 3 targets have no finite coordinates", rs.Catalog.from_table, t)
+    assert (catalog.n_dropped, catalog.id.tolist()) == (1, [1, 3])
     masked = Table({"ra": MaskedColumn([1.0, 2.0], mask=[True, False], unit=DEG), "dec": [1.0, 2.0] * DEG})
     with pytest.warns(rs.RfpsurveyWarning, match="1 of 2 targets"):
         assert len(rs.Catalog.from_table(masked)) == 1
@@ -212,8 +201,7 @@ def test_fast_stars_next_to_a_pole_move(rng, pole):
     np.testing.assert_allclose(plane(moved.coord.ra.deg, moved.coord.dec.deg), expected, atol=2e-3)
     speed = np.hypot(moved.coord.pm_ra_cosdec, moved.coord.pm_dec).to_value(u.arcsec / u.yr)
     np.testing.assert_allclose(speed, 10, rtol=1e-5)
-    back = moved.at_epoch(2000.0 * u.yr)
-    assert back.coord.separation(coord).to_value(u.arcsec).max() < 2e-3
+    assert moved.at_epoch(2000.0 * u.yr).coord.separation(coord).to_value(u.arcsec).max() < 2e-3
 
 
 def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
@@ -223,8 +211,7 @@ def test_stars_faster_than_any_known_leave_their_partition(tmp_path):
     star = SkyCoord([10.0, 50.0] * DEG, [20.0, 20.0] * DEG, pm_ra_cosdec=[0, 0] * PM, pm_dec=[3e5, 0] * PM)
     parts = rs.catalog.partition_catalog(rs.Catalog(star, id=[7, 8], epoch=2000.0), tmp_path / "fast", order=6)
     field = SkyCoord([10.0] * DEG, [20.05 + np.rad2deg(np.arctan(np.deg2rad(50 * 300 / 3600)))] * DEG)
-    survey = rs.plan_survey(parts, model, field, epoch=2050.0)
-    assert survey.tiles["n_in_field"].tolist() == [1]
+    assert rs.plan_survey(parts, model, field, epoch=2050.0).tiles["n_in_field"].tolist() == [1]
 
 
 def test_at_epoch_leaves_targets_without_proper_motion_in_place():
@@ -235,10 +222,8 @@ def test_at_epoch_leaves_targets_without_proper_motion_in_place():
     still = rs.Catalog.from_table(table())
     assert still.at_epoch(2030) is still
     no_epoch = rs.Catalog.from_table(table(pmra=[1, 1, 1] * PM, pmdec=[1, 1, 1] * PM))
-    with pytest.raises(rs.InputError, match="proper motions but no epoch"):
-        no_epoch.at_epoch(2030)
-    with pytest.raises(rs.InputError, match="time must be a Time, a Julian year"):
-        still.at_epoch("soon")
+    refused("proper motions but no epoch", no_epoch.at_epoch, 2030)
+    refused("time must be a Time, a Julian year", still.at_epoch, "soon")
 
 
 def test_epochs_can_be_text():
@@ -247,20 +232,14 @@ def test_epochs_can_be_text():
     t["epoch"] = ["J2015.5", "2016-01-01", "unknown"]
     np.testing.assert_allclose(rs.Catalog.from_table(t).epoch.jyear[:2], [2015.5, 2016], atol=2e-3)
     t["epoch"] = ["J2015.5", "", "J2016.0"]
-    with pytest.raises(rs.InputError, match="1 of these targets have other values, such as nan"):
-        rs.Catalog.from_table(t)
+    refused("1 of these targets have other values, such as nan", rs.Catalog.from_table, t)
     t["epoch"] = ["J2015.5", "soon", "J2016.0"]
-    with pytest.raises(
-        rs.InputError, match=r"column 'epoch' \(epoch\) must be a Time, .* or a date such as .*, got 'soon'"
-    ):
-        rs.Catalog.from_table(t)
+    refused(r"column 'epoch' \(epoch\) must be a Time, .* or a date such as .*, got 'soon'", rs.Catalog.from_table, t)
 
 
 def test_epoch_from_the_meta_of_a_table(tycho):
     catalog = rs.Catalog.read(tycho)
-    assert len(catalog) == 8830
-    assert catalog.epoch.jyear == pytest.approx(2000)
-    assert catalog.id[0] == "1319-143-1"
+    assert (len(catalog), catalog.epoch.jyear, catalog.id[0]) == (8830, pytest.approx(2000), "1319-143-1")
     assert catalog.has_proper_motion
 
 
@@ -268,86 +247,72 @@ def test_epoch_from_the_meta_of_a_table(tycho):
 def test_within_agrees_with_astropy(center, rng):
     center = SkyCoord(*center, unit="deg")
     catalog = rs.synthetic_catalog("uniform", center, 10 * DEG, n_targets=2000, rng=1)
-    inside = catalog.within(center, 4 * DEG)
-    expected = catalog.coord.separation(center) <= 4 * DEG
+    inside, expected = catalog.within(center, 4 * DEG), catalog.coord.separation(center) <= 4 * DEG
     np.testing.assert_array_equal(inside.id, np.flatnonzero(expected))
 
 
-@pytest.mark.parametrize(
-    ("content", "message"),
-    [
-        ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
-        ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
-        ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
-        ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
-        ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
-        ({"ra": ["x"], "dec": ["y"]}, "column 'ra' .ra. must hold decimal numbers or sexagesimal text, got 'x': "),
-        ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
-        (
-            {"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]},
-            "decimal numbers or sexagesimal text, the same in all rows, got '10.5' and '06:20:11'",
-        ),
-        ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got 'abc'"),
-        ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, "decimal numbers or sexagesimal text, got '--5'"),
-        ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
-        ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "priority": ["high"]},
-            "column 'priority' .priority. must hold numbers",
-        ),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "kind": ["galaxy"]},
-            "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'",
-        ),
-        (
-            {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
-            r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
-            r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
-        ),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
-        (
-            {"ra": [1.0] * DEG, "dec": [1.0] * DEG, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
-            "must hold Julian years for targets with a proper motion, but 1 of these targets have other values",
-        ),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "pmra": [1] * PM}, "there is no column for pmdec"),
-        ({"ra": [1.0] * DEG, "dec": [1.0] * DEG, "id": [1.5]}, "must be integers or text for every row"),
-    ],
-)
+ONE = {"ra": [1.0] * DEG, "dec": [1.0] * DEG}
+TEXT = "decimal numbers or sexagesimal text"
+BAD_TABLES = [
+    ({"ra": [1.0] * DEG}, "there is no column for dec; the columns are: ra"),
+    ({"x": [1.0]}, "there is no column for ra and dec; the columns are: x"),
+    ({"ra": [1.0], "dec": [1.0] * DEG}, "column 'ra' has no unit; state the unit, for example"),
+    ({"ra": [1.0] * u.mm, "dec": [1.0] * DEG}, "column 'ra' .ra. must have a unit convertible to deg, got mm"),
+    ({"ra": [1.0] * DEG, "dec": [91.0] * DEG}, "column 'dec' must lie between -90 and 90 deg, got 91"),
+    ({"ra": ["x"], "dec": ["y"]}, f"column 'ra' .ra. must hold {TEXT}, got 'x': "),
+    ({"ra": ["10,5"], "dec": ["0,5"]}, "got '10,5'; replace the decimal comma with a point"),
+    ({"ra": ["10.5", "06:20:11"], "dec": ["1", "2"]}, f"{TEXT}, the same in all rows, got '10.5' and '06:20:11'"),
+    ({"ra": ["10.5", "abc"], "dec": ["1", "2"]}, f"{TEXT}, got 'abc'"),
+    ({"ra": ["--5", "10.5"], "dec": ["1", "2"]}, f"{TEXT}, got '--5'"),
+    ({"ra": ["10.5", "10,5"], "dec": ["1", "2"]}, "got '10,5'; replace the decimal comma with a point"),
+    ({"ra": ["95:06:20"], "dec": ["1"]}, "An invalid value for 'hours' was found"),
+    ({**ONE, "priority": ["high"]}, "column 'priority' .priority. must hold numbers"),
+    ({**ONE, "kind": ["galaxy"]}, "column 'kind' .kind. must be science, standard or sky, .* got 'galaxy'"),
+    (
+        {"ra": np.ones(9) * DEG, "dec": np.ones(9) * DEG, "priority": [1, *[np.nan] * 7, 2]},
+        r"column 'priority' .priority. must have a number in every row, but 7 of 9 rows .rows 2, 3, 4, .... have "
+        r"none; state a value for these rows, for example fill=.'priority': 0. or --set catalog.fill.priority=0",
+    ),
+    ({**ONE, "visits": [np.nan]}, "1 of 1 rows .row 1. have none; state"),
+    (
+        {**ONE, "ref_epoch": [12.0], "pmra": [1] * PM, "pmdec": [1] * PM},
+        "must hold Julian years for targets with a proper motion, but 1 of these targets have other values",
+    ),
+    ({**ONE, "pmra": [1] * PM}, "there is no column for pmdec"),
+    ({**ONE, "id": [1.5]}, "must be integers or text for every row"),
+]
+
+
+@pytest.mark.parametrize(("content", "message"), BAD_TABLES)
 def test_bad_tables_are_named(content, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.Catalog.from_table(QTable(content))
+    refused(message, lambda: rs.Catalog.from_table(QTable(content)))
 
 
 def test_bad_overrides_are_named():
     with pytest.raises(rs.InputError, match="there is no column 'nope' for id; the columns are: ra, dec"):
         rs.Catalog.from_table(table(), columns={"id": "nope"})
-    with pytest.raises(rs.InputError, match="unknown column role 'identity'"):
-        rs.Catalog.from_table(table(), columns={"identity": "ra"})
-    with pytest.raises(rs.InputError, match="id must have one value per target"):
-        rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1])
-    with pytest.raises(rs.InputError, match="coord must be a SkyCoord"):
-        rs.Catalog([1, 2])
+    refused("unknown column role 'identity'", lambda: rs.Catalog.from_table(table(), columns={"identity": "ra"}))
+    refused("id must have one value per target", lambda: rs.Catalog(SkyCoord([1, 2] * DEG, [0, 0] * DEG), id=[1]))
+    refused("coord must be a SkyCoord", rs.Catalog, [1, 2])
     with pytest.raises(rs.InputError, match="'altaz' cannot be converted to ICRS"):
         rs.Catalog(SkyCoord([1] * DEG, [2] * DEG, frame=AltAz())).arrays.vectors  # noqa: B018
 
 
-@pytest.mark.parametrize(
-    ("name", "content", "message"),
-    [
-        ("missing.fits", None, "there is no such file"),
-        ("broken.fits", b"not a table", "cannot be read as fits"),
-        ("broken.ecsv", b"# %ECSV 1.0\n# ---\n# nonsense: [\n", "cannot be read as ascii.ecsv"),
-        ("broken.parquet", b"PAR1", "cannot be read as parquet"),
-        ("stars.txt", b"", "must end in one of"),
-    ],
-)
+UNREADABLE_FILES = [
+    ("missing.fits", None, "there is no such file"),
+    ("broken.fits", b"not a table", "cannot be read as fits"),
+    ("broken.ecsv", b"# %ECSV 1.0\n# ---\n# nonsense: [\n", "cannot be read as ascii.ecsv"),
+    ("broken.parquet", b"PAR1", "cannot be read as parquet"),
+    ("stars.txt", b"", "must end in one of"),
+]
+
+
+@pytest.mark.parametrize(("name", "content", "message"), UNREADABLE_FILES)
 def test_unreadable_files_are_named(tmp_path, name, content, message):
     path = tmp_path / name
     if content is not None:
         path.write_bytes(content)
-    with pytest.raises(rs.InputError, match=message) as caught:
-        rs.Catalog.read(path)
-    assert name in str(caught.value)
+    assert name in refused(message, rs.Catalog.read, path)
 
 
 def test_frames_other_than_icrs_keep_their_proper_motions():
@@ -365,8 +330,7 @@ def test_columns_stay_beside_their_rows_when_others_are_dropped():
     t["dec"][0] = np.nan
     with pytest.warns(rs.RfpsurveyWarning):
         catalog = rs.Catalog.from_table(t)
-    assert catalog.id.tolist() == [2, 3]
-    assert catalog.priority.tolist() == [2, 3]
+    assert (catalog.id.tolist(), catalog.priority.tolist()) == ([2, 3], [2, 3])
     assert catalog.kind.tolist() == ["sky", "standard"]
     np.testing.assert_allclose(catalog.epoch.jyear, [2016, 2017])
     np.testing.assert_allclose(catalog.coord.pm_dec.value, [5, 6])
@@ -378,10 +342,8 @@ def test_small_print_of_columns():
     """
     t = QTable({"ra": ["06:20:00"], "dec": ["+23:00:00"], "pmra": [5.0] * PM, "pmdec": [6.0] * PM, "kind": ["SKY"]})
     catalog = rs.Catalog.from_table(t)
-    assert catalog.coord.pm_ra_cosdec[0] == 5 * PM
-    assert catalog.kind.tolist() == ["sky"]
-    flipped = rs.Catalog.from_table(t, columns={"pmra": "-pmra"})
-    assert flipped.coord.pm_ra_cosdec[0] == -5 * PM
+    assert (catalog.coord.pm_ra_cosdec[0], catalog.kind.tolist()) == (5 * PM, ["sky"])
+    assert rs.Catalog.from_table(t, columns={"pmra": "-pmra"}).coord.pm_ra_cosdec[0] == -5 * PM
     with pytest.raises(rs.InputError, match="a leading minus is allowed only for columns of numbers, got id"):
         rs.Catalog.from_table(t, columns={"id": "-kind"})
     dated = SkyCoord([1] * DEG, [2] * DEG, obstime=Time("J2010.5"))
@@ -390,20 +352,21 @@ def test_small_print_of_columns():
     shift = rs.Catalog.from_table(half).at_epoch(2026).coord.separation(SkyCoord(half["ra"], half["dec"]))
     np.testing.assert_allclose(shift.to_value(u.arcsec), [90, 0, 0], atol=0.1)
     two = QTable({"a": SkyCoord([1] * DEG, [2] * DEG), "b": SkyCoord([3] * DEG, [4] * DEG)})
-    with pytest.raises(rs.InputError, match="a single column of coordinates, got a, b"):
-        rs.Catalog.from_table(two)
+    refused("a single column of coordinates, got a, b", rs.Catalog.from_table, two)
     both = QTable({"guide": SkyCoord([1] * DEG, [2] * DEG), "ra": [5.0] * DEG, "dec": [6.0] * DEG})
     assert rs.Catalog.from_table(both, columns={"ra": "ra", "dec": "dec"}).coord.ra[0].deg == 5
 
 
-def test_empty_text_ids_are_counted():
-    table = QTable({"name": ["a", "", "c", ""], "ra": [1, 2, 3, 4] * u.deg, "dec": [1, 2, 3, 4] * u.deg})
-    with pytest.warns(rs.RfpsurveyWarning, match=r"column 'name' \(id\) is empty in 2 of 4 rows \(rows 2, 4\)"):
-        assert rs.Catalog.from_table(table).id.tolist() == ["a", "", "c", ""]
-
-
-def test_one_target_is_no_plural():
-    assert repr(rs.Catalog(SkyCoord([1] * u.deg, [2] * u.deg))) == "<Catalog of 1 target>"
+def test_identifiers_are_text_or_counted_as_empty():
+    text = QTable({"name": ["a", "", "c", ""], "ra": [1, 2, 3, 4] * u.deg, "dec": [1, 2, 3, 4] * u.deg})
+    words = r"column 'name' \(id\) is empty in 2 of 4 rows \(rows 2, 4\)"
+    assert warned(words, rs.Catalog.from_table, text).id.tolist() == ["a", "", "c", ""]
+    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
+    catalog = rs.Catalog.from_table(table(id=ids))
+    assert catalog.id.tolist() == ["a", "b", "Ä"]
+    words, center = r"center must be one direction, got the shape \(2,\)", SkyCoord([1, 2] * DEG, [3, 4] * DEG)
+    refused(words, catalog.within, center, 1 * DEG)
+    assert repr(rs.Catalog(center[:1])) == "<Catalog of 1 target>"
 
 
 def test_coordinates_of_other_differentials_keep_their_proper_motions():
@@ -412,16 +375,6 @@ def test_coordinates_of_other_differentials_keep_their_proper_motions():
     catalog = rs.Catalog(SkyCoord(ra=[10, 20] * DEG, dec=[60, 0] * DEG, **motion))
     np.testing.assert_allclose(catalog.coord.pm_ra_cosdec.to_value(PM), [2, 4], rtol=1e-12)
     np.testing.assert_allclose(catalog.coord.pm_dec.to_value(PM), [1, 2], rtol=1e-12)
-
-
-def test_identifiers_that_are_bytes_in_a_column_of_objects_are_text():
-    ids = np.array([b"a", "b", "Ä".encode()], dtype=object)
-    assert rs.Catalog.from_table(table(id=ids)).id.tolist() == ["a", "b", "Ä"]
-
-
-def test_the_center_of_a_circle_must_be_one_direction():
-    with pytest.raises(rs.InputError, match=r"center must be one direction, got the shape \(2,\)"):
-        rs.Catalog.from_table(table()).within(SkyCoord([1, 2] * DEG, [3, 4] * DEG), 1 * DEG)
 
 
 def test_a_column_target_contains_the_identifiers():

@@ -22,8 +22,8 @@ def scattered(rng, n):
 CENTERS = [(0, 0), (359.99, 10), (0.01, -70), (123, 89.9), (0, 90), (45, -90), (200, -88), (180, 0), (12, 45)]
 
 
-@pytest.mark.parametrize("n", [0, 1, 40, 5000])
-@pytest.mark.parametrize("radius", [1e-6, 0.1, 1.6, 20, 89, 90, 170, 180])
+@pytest.mark.parametrize("n", [0, 1, 5000])
+@pytest.mark.parametrize("radius", [1e-6, 1.6, 89, 90, 180])
 def test_near_is_what_a_look_at_all_finds(rng, n, radius):
     vectors = scattered(rng, n)
     index = SkyIndex(vectors)
@@ -39,8 +39,7 @@ def test_near_is_what_a_look_at_all_finds(rng, n, radius):
 
 def test_near_leaves_out_what_has_nothing_left(rng):
     index = SkyIndex(scattered(rng, 3000))
-    left = rng.integers(0, 3, len(index)).astype(np.uint8)
-    center = unit([10], [80])[0]
+    left, center = rng.integers(0, 3, len(index)).astype(np.uint8), unit([10], [80])[0]
     all_of_them, some = index.near(center, 0.5), index.near(center, 0.5, left)
     assert 0 < len(some) < len(all_of_them)
     assert np.array_equal(some, all_of_them[left[all_of_them] > 0])

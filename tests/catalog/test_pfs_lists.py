@@ -6,9 +6,9 @@ import pytest
 from astropy.table import MaskedColumn, QTable, Table
 from numpy.testing import assert_allclose
 from pfs_files import target_list
+from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.errors import InputError
 
 
 def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times():
@@ -16,8 +16,7 @@ def test_target_lists_of_pfs_have_small_priorities_first_and_visits_from_times()
     catalog = rs.Catalog.from_table(target_list())
     assert catalog.priority.tolist() == [0, -1, -5, -9]
     assert not np.signbit(catalog.priority[0])
-    assert catalog.visits.tolist() == [1, 2, 3, 1]
-    assert catalog.id.tolist() == [4000, 4001, 4002, 4003]
+    assert (catalog.visits.tolist(), catalog.id.tolist()) == ([1, 2, 3, 1], [4000, 4001, 4002, 4003])
     stated = "PFS targets: priority: priority (reversed sign), visits: exptime (divided by 900.0 s, rounded up)"
     assert catalog.meta["columns"].startswith(stated)
     timed = target_list(single_exptime=[450, 300, 1963.5, 900])
@@ -38,12 +37,10 @@ def test_lists_of_the_pointing_planner_of_pfs_are_recognized():
     for name in table.colnames[1:]:
         table.rename_column(name, f"ob_{name}")
     catalog = rs.Catalog.from_table(table)
-    assert catalog.priority.tolist() == [0, -1, -5, -9]
-    assert catalog.visits.tolist() == [1, 2, 3, 1]
+    assert (catalog.priority.tolist(), catalog.visits.tolist()) == ([0, -1, -5, -9], [1, 2, 3, 1])
     assert catalog.id.tolist() == ["ob0", "ob1", "ob2", "ob3"]
     table["ob_resolution"] = ["L", "M", "L", "L"]
-    with pytest.raises(InputError, match="--set catalog.select.ob_resolution=M"):
-        rs.Catalog.from_table(table)
+    refused("--set catalog.select.ob_resolution=M", rs.Catalog.from_table, table)
 
 
 def test_all_columns_of_pfs_with_a_prefix_are_read():
@@ -66,7 +63,7 @@ def test_rounding_adds_no_visits_and_missing_times_of_exposures_are_900_s():
     assert rs.Catalog.from_table(table).visits.tolist() == [2, 2, 3, 18]
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     rng = np.random.default_rng(seed)
     total, single = rng.integers(1, 20000, 4), rng.integers(100, 3000, 4)
@@ -75,22 +72,18 @@ def test_numbers_of_visits_are_the_smallest_that_give_the_time(seed):
     assert ((found - 1) * single < total).all()
 
 
-@pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        (
-            {"exptime": [900, 0, 900, 900]},
-            "column 'exptime' must hold positive exposure times, got other values in 1 of",
-        ),
-        ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
-        ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
-        ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
-        ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
-    ],
-)
+BAD_LISTS = [
+    ({"exptime": [900, 0, 900, 900]}, "column 'exptime' must hold positive exposure times, got other values in 1 of"),
+    ({"exptime": ["900", "x", "1", "1"]}, "column 'exptime' must hold exposure times in seconds, got text"),
+    ({"single_exptime": [900, -1, 1, 1]}, "column 'single_exptime' must hold positive exposure times"),
+    ({"exptime": [9e5, 9, 9, 9]}, "visits must"),
+    ({"resolution": ["L", "M", "M", "L"]}, r"must have one value in all rows, .* got L \(2\), M \(2\); plan them"),
+]
+
+
+@pytest.mark.parametrize(("columns", "message"), BAD_LISTS)
 def test_bad_target_lists_of_pfs_are_refused(columns, message):
-    with pytest.raises(InputError, match=message):
-        rs.Catalog.from_table(target_list(**columns))
+    refused(message, lambda: rs.Catalog.from_table(target_list(**columns)))
 
 
 def test_pointings_of_pfs_are_tiles():
@@ -98,8 +91,7 @@ def test_pointings_of_pfs_are_tiles():
     plain = rs.Tiling.from_table(table)
     assert plain.table["tile"].tolist() == ["P1", "P2", "P3"]
     table["ppc_pa"], table["ppc_resolution"] = [0.0, 60.0, 90.0], ["L", "M", "L"]
-    with pytest.raises(InputError, match=r"got L \(2\), M \(1\); .* --set tiles.select.ppc_resolution=M"):
-        rs.Tiling.from_table(table)
+    refused(r"got L \(2\), M \(1\); .* --set tiles.select.ppc_resolution=M", rs.Tiling.from_table, table)
     tiling = rs.Tiling.from_table(table, select={"ppc_resolution": "L"})
     assert tiling.table["ra"].to_value(u.deg).tolist() == [150, 152]
     # at ppc_pa = 0, +x of the focal plane points north and +y points west (a design of the observatory)
@@ -110,8 +102,7 @@ def test_pointings_of_pfs_are_tiles():
     own.rename_columns(["ppc_ra", "ppc_dec"], ["ra", "dec"])  # the angle and the resolutions were not recognized
     table["ra"] = table["ppc_ra"]
     for given, columns in ((own, {}), (table, {"ra": "ra"})):
-        with pytest.raises(InputError, match=r"got L \(2\), M \(1\)"):
-            rs.Tiling.from_table(given, columns)
+        refused(r"got L \(2\), M \(1\)", rs.Tiling.from_table, given, columns)
         again = rs.Tiling.from_table(given, columns, select={"ppc_resolution": "L"})
         assert_allclose(again.table["position_angle"], tiling.table["position_angle"])
         assert_allclose(rs.Tiling.from_table(again.table).table["position_angle"], tiling.table["position_angle"])

@@ -9,6 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.masked import Masked
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import to_moment, to_time
@@ -45,9 +46,7 @@ def test_dates_are_epochs_and_times_of_observations(expected, value):
 @pytest.mark.parametrize("value", YEARS)
 def test_julian_years_are_epochs_but_not_times_of_observations(value):
     assert to_time(value, "epoch").jyear == pytest.approx(2026.5, abs=1e-9)
-    with pytest.raises(rs.InputError) as caught:
-        rs.ObservingConditions("xinglong", time=value)
-    text = str(caught.value)
+    text = refused("", rs.ObservingConditions, "xinglong", time=value)
     assert text.startswith(f"time {FORM}; the Julian year 2026.5 is 2026-07-02T14:58 in this form, got ")
 
 
@@ -60,16 +59,6 @@ def test_other_values_are_refused_in_one_line(value):
         assert "\n" not in str(caught.value)
 
 
-@pytest.mark.parametrize(
-    "value", [np.ma.masked, Masked(2026.5, mask=True), Time(Masked(2026.5, mask=True), format="jyear")]
-)
-def test_masked_times_are_refused(value):
-    with pytest.raises(rs.InputError, match="epoch must not have masked values"):
-        to_time(value, "epoch")
-    with pytest.raises(rs.InputError, match="time must be a date and time"):
-        to_moment(value, "time")
-
-
 def test_an_epoch_to_which_targets_are_moved_is_one_time():
     """An empty list of epochs moved no target, without a message."""
     sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.2 * u.deg, n_targets=60, rng=1)
@@ -78,8 +67,7 @@ def test_an_epoch_to_which_targets_are_moved_is_one_time():
             lambda epoch=epoch: rs.plan_tile(sky, "moons", epoch=epoch),
             lambda epoch=epoch: rs.plan_survey(sky, "moons", sky.coord[:1], epoch=epoch),
         ):
-            with pytest.raises(rs.InputError, match=f"epoch must be one time, got the shape {shape}"):
-                call()
+            refused(f"epoch must be one time, got the shape {shape}", call)
 
 
 FILES = [
@@ -104,10 +92,9 @@ FILES = [
 def test_a_bad_file_of_conditions_gives_one_sentence(tmp_path, run, text, words):
     path = tmp_path / "seen.toml"
     path.write_text(f"{text}\n")
-    with pytest.raises(rs.InputError) as caught:
-        rs.ObservingConditions.read(path)
-    assert str(caught.value).startswith(f"{path}")
-    assert words in str(caught.value)
+    found = refused("", rs.ObservingConditions.read, path)
+    assert found.startswith(f"{path}")
+    assert words in found
     code, _, err = run("plan", "--set", f"conditions.path={path}")
     assert code == 2
     assert len(err.strip().splitlines()) == 1

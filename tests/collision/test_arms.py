@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from raising import refused
 
 import rfpsurvey as rs
 from oracles import collisions_of, standing_arms
@@ -46,8 +47,7 @@ def test_arms_and_collisions_are_those_of_slow_geometry(name, rng):
                 **again,
             ),
         ):
-            assert report.pairs.tolist() == pairs
-            assert report.obstacle_pairs.tolist() == hits
+            assert (report.pairs.tolist(), report.obstacle_pairs.tolist()) == (pairs, hits)
             np.testing.assert_array_equal(report.assigned, assigned)
             np.testing.assert_array_equal(report.counted, counted)
             assert np.flatnonzero(report.in_collision).tolist() == sorted({*np.ravel(pairs), *(i for i, _ in hits)})
@@ -62,8 +62,7 @@ def test_tips_of_units_that_take_none_do_not_matter(rng):
     tips = random_tips(plane, rng)
     before = rs.find_collisions(plane, tips)
     tips[~plane.arrays.usable] += 500 * MM
-    after = rs.find_collisions(plane, tips)
-    np.testing.assert_array_equal(after.pairs, before.pairs)
+    np.testing.assert_array_equal(rs.find_collisions(plane, tips).pairs, before.pairs)
     counts = [
         rs.collision.count_collisions(plane, t[None])
         for t in (tips, np.where(plane.arrays.usable[:, None], tips, np.nan))
@@ -77,8 +76,7 @@ def test_arms_of_another_focal_plane_are_refused():
     plane, _ = SCENES["equal arms"]
     posed = place_arms(plane, plane.xy)
     elsewhere = rs.FocalPlane(plane.xy + 30 * MM, plane.positioner)
-    with pytest.raises(rs.InputError, match="the arms belong to another focal plane: 37 elbows"):
-        rs.find_collisions(elsewhere, posed)
+    refused("the arms belong to another focal plane: 37 elbows", rs.find_collisions, elsewhere, posed)
     with pytest.raises(
         rs.InputError, match="the arms must belong to the 7 positioners of the focal plane, got the arms of 37"
     ):
@@ -87,8 +85,7 @@ def test_arms_of_another_focal_plane_are_refused():
 
 @given(st.integers(0, 2**32 - 1))
 def test_runs_are_the_neighbors_and_nothing_else(seed):
-    rng = np.random.default_rng(seed)
-    unit = rs.Positioner(8 * MM, 8 * MM, 2 * MM)
+    rng, unit = np.random.default_rng(seed), rs.Positioner(8 * MM, 8 * MM, 2 * MM)
     n = int(rng.integers(1, 40))
     xy = np.unique(rng.integers(0, 12, (n, 2)), axis=0) * rng.choice([9.0, 15.0, 25.0])
     plane = rs.FocalPlane(xy * MM, unit)

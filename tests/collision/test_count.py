@@ -6,7 +6,9 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
+from raising import refused
 
+import flat
 import rfpsurvey as rs
 from rfpsurvey._kernels import allocation as kernels
 from scenes import MM, SCENES, both_hands, lamost_like, many_tips, sdss_like, two_fibers, with_troubles
@@ -87,11 +89,7 @@ def test_an_executor_changes_nothing(pool, rng):
 def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
     plane = lamost_like()
     for parked in (True, False):
-        allocation = rs.allocate(
-            plane,
-            rng.uniform(-70, 70, (12, 2)) * MM,
-            allocator=rs.AllocationOptions("balanced", parked_obstacles=parked),
-        )
+        allocation = flat.allocate(plane, rng.uniform(-70, 70, (12, 2)) * MM, "balanced", parked_obstacles=parked)
         counts = rs.collision.count_collisions(plane, allocation, n_configurations=3)
         assert (counts.n_counted == (len(plane) if parked else allocation.n_assigned)).all()
         assert rs.find_collisions(plane, allocation).counted.sum() == counts.n_counted[0]
@@ -99,17 +97,13 @@ def test_idle_arms_of_an_allocation_stand_as_it_says(rng):
 
 def test_the_configuration_with_bad_tips_is_named_beyond_the_first_chunk():
     plane = lamost_like(1)
-    tips = np.stack([plane.xy + 3 * MM] * 140)
-    tips[130, 2] += 50 * MM
-    with pytest.raises(
-        rs.InputError, match="configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
-    ):
-        rs.collision.count_collisions(plane, tips)
     limited = replace(plane, positioner=replace(plane.positioner, phi_range=[0, 170] * u.deg))
     tips = np.stack([plane.xy + 3 * MM] * 140)
+    tips[130, 2] += 50 * MM
+    words = "configuration 130: 1 tips are out of reach; the first is the tip of positioner 2"
+    refused(words, rs.collision.count_collisions, plane, tips)
     tips[130, 2] = limited.xy[2] + 0.1 * MM
-    with pytest.raises(rs.InputError, match="configuration 130: 1 tips are beyond the joint limits"):
-        rs.collision.count_collisions(limited, tips)
+    refused("configuration 130: 1 tips are beyond the joint limits", rs.collision.count_collisions, limited, tips)
 
 
 def test_joint_limits_hold_for_the_elbow_in_use():
@@ -122,15 +116,13 @@ def test_joint_limits_hold_for_the_elbow_in_use():
         lambda: rs.find_collisions(plane, tips, handedness="left"),
         lambda: rs.collision.count_collisions(plane, tips[None], handedness="left"),
     ):
-        with pytest.raises(rs.InputError, match="2 tips are beyond the joint limits"):
-            call()
+        refused("2 tips are beyond the joint limits", call)
 
 
 def test_nothing_to_count():
     plane = lamost_like(1)
     empty = rs.collision.count_collisions(plane, np.empty((0, 7, 2)) * MM)
-    assert len(empty) == 0
-    assert empty.per_positioner.tolist() == [0] * 7
+    assert (len(empty), empty.per_positioner.tolist()) == (0, [0] * 7)
     idle = rs.collision.count_collisions(sdss_like(1), np.full((2, 7, 2), np.nan) * MM)
     assert np.isnan(idle.rate).all()
     assert idle.n_pairs.tolist() == [0, 0]
@@ -138,60 +130,38 @@ def test_nothing_to_count():
     assert rs.collision.count_collisions(apart, np.stack([apart.xy + 3 * MM] * 2)).n_assigned.tolist() == [7, 7]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
-        ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
-        ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
-        (
-            {"tips": np.zeros((2, 7, 2)) * MM},
-            "configuration 0: 6 tips are out of reach; the first is the tip of",
-        ),
-        (
-            {"tips": np.full((2, 7, 2), np.nan) * MM, "n_configurations": 3},
-            "n_configurations can be given only with an Allocation",
-        ),
-        ({"tips": np.full((2, 7, 2), np.nan) * MM, "executor": 2}, "executor must be a concurrent.futures.Executor"),
-        ({"tips": np.full((2, 7, 2), np.nan) * MM, "method": "sampled"}, "unknown method of counting collisions"),
-    ],
-)
+IDLE = np.full((2, 7, 2), np.nan) * MM
+BAD_INPUT = [
+    ({"tips": np.zeros((2, 3, 2)) * MM}, r"a Quantity of shape \(m, 7, 2\), got the shape \(2, 3, 2\)"),
+    ({"tips": np.zeros((2, 7, 2))}, r"got ndarray"),
+    ({"tips": np.zeros((2, 7, 2)) * u.deg}, "tips must have a unit convertible to mm, got deg"),
+    ({"tips": np.zeros((2, 7, 2)) * MM}, "configuration 0: 6 tips are out of reach; the first is the tip of"),
+    ({"tips": IDLE, "n_configurations": 3}, "n_configurations can be given only with an Allocation"),
+    ({"tips": IDLE, "executor": 2}, "executor must be a concurrent.futures.Executor"),
+    ({"tips": IDLE, "method": "sampled"}, "unknown method of counting collisions"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.collision.count_collisions(lamost_like(1), **arguments)
+    refused(message, lambda: rs.collision.count_collisions(lamost_like(1), **arguments))
 
 
 def test_bad_draws_are_named():
-    plane = lamost_like(1)
-    xy = plane.xy + 1 * MM
-    with pytest.raises(rs.InputError, match="n_configurations must be a whole number of at least 0, got None"):
-        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="balanced"))
-    with pytest.raises(
-        rs.InputError,
-        match="such as those by 'balanced', got an allocation by 'lamost_rule'",
-    ):
-        rs.collision.count_collisions(plane, rs.allocate(plane, xy, allocator="lamost_rule"), n_configurations=3)
-    with pytest.raises(
-        rs.InputError, match="the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
-    ):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, method="cuda"
-        )
-    with pytest.raises(rs.InputError, match="the allocation must be for the 19 positioners of the focal plane, got 7"):
-        rs.collision.count_collisions(lamost_like(2), rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
-    elsewhere = replace(plane, xy=plane.xy + 1000 * MM)
-    with pytest.raises(rs.InputError, match="for another focal plane: 7 of its targets are out of reach"):
-        rs.collision.count_collisions(elsewhere, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3)
-    with pytest.raises(rs.InputError, match=r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, rng=np.random.RandomState(1)
-        )
+    plane, xy = lamost_like(1), lamost_like(1).xy + 1 * MM
+    queues, count = rs.allocate(plane, xy, allocator="balanced"), rs.collision.count_collisions
+    rule, elsewhere = rs.allocate(plane, xy, allocator="lamost_rule"), replace(plane, xy=plane.xy + 1000 * MM)
+    draw = {"n_configurations": 3}
+    refused("n_configurations must be a whole number of at least 0, got None", count, plane, queues)
+    refused("such as those by 'balanced', got an allocation by 'lamost_rule'", count, plane, rule, **draw)
+    words = "the method must be 'exact' if configurations are drawn from queues, got 'cuda'"
+    refused(words, count, plane, queues, method="cuda", **draw)
+    words = "the allocation must be for the 19 positioners of the focal plane, got 7"
+    refused(words, count, lamost_like(2), queues, **draw)
+    refused("for another focal plane: 7 of its targets are out of reach", count, elsewhere, queues, **draw)
+    words = r"rng must be a seed from 0 to 2\^128 - 1, a numpy Generator"
+    refused(words, count, plane, queues, rng=np.random.RandomState(1), **draw)
     for wrong in ("lamost", rs.Instrument.preset("lamost")):
-        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
-            rs.collision.count_collisions(wrong, xy)
-        with pytest.raises(rs.InputError, match="focal_plane must be a FocalPlane, got"):
-            rs.find_collisions(wrong, xy)
-    with pytest.raises(rs.InputError, match="handedness and fiber_type must be None for an Allocation"):
-        rs.collision.count_collisions(
-            plane, rs.allocate(plane, xy, allocator="balanced"), n_configurations=3, handedness="left"
-        )
+        for call in (count, rs.find_collisions):
+            refused("focal_plane must be a FocalPlane, got", call, wrong, xy)
+    refused("handedness and fiber_type must be None for an Allocation", count, plane, queues, handedness="left", **draw)

@@ -6,6 +6,7 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
+from raising import refused
 
 import rfpsurvey as rs
 from oracles import segment_distances, tip_and_elbow
@@ -40,10 +41,11 @@ def test_distance_does_not_depend_on_where_the_scene_is(values, angle, shift):
     assert after == pytest.approx(before, abs=1e-6)
 
 
-def test_crossing_arms_have_distance_zero():
-    """The four endpoint distances of these crossing arms are 10 mm."""
-    cross = np.array([[-10.0, 0, 10, 0], [0, -10, 0, 10]])
-    assert collisions.segments_squared(*cross.ravel()) == 0
+def test_crossing_arms_have_distance_zero_and_collinear_arms_do_not_cross():
+    """The four endpoint distances of crossing arms are 10 mm; the orientations of collinear segments are all 0."""
+    assert collisions.segments_squared(-10.0, 0, 10, 0, 0, -10, 0, 10) == 0
+    assert collisions.segments_squared(0.0, 0, 1, 0, 5, 0, 9, 0) == 16
+    assert collisions.segments_squared(0.0, 0, 6, 0, 5, 0, 9, 0) == 0
 
 
 def test_the_limit_is_strict():
@@ -56,8 +58,7 @@ def test_the_limit_is_strict():
         plane = rs.FocalPlane([[0, 0], [0, gap]] * MM, unit)
         assert len(plane.neighbor_pairs()) == 1
         # stretched, parallel arms at the minimum separation
-        report = rs.find_collisions(plane, [[8, 0], [8, gap]] * MM)
-        assert len(report.pairs) == n
+        assert len(rs.find_collisions(plane, [[8, 0], [8, gap]] * MM).pairs) == n
         obstacle = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[6, gap, 2.25]] * MM)
         assert len(rs.find_collisions(obstacle, [[8, 0]] * MM).obstacle_pairs) == n
 
@@ -76,18 +77,11 @@ def test_obstacles_are_measured_along_the_whole_arm(rng):
         np.testing.assert_allclose(report.obstacle_distances.value, np.maximum(gap[gap < 2], 0), atol=1e-12)
 
 
-def test_collinear_arms_do_not_cross():
-    """All four orientations of two collinear segments are 0, at any distance."""
-    assert collisions.segments_squared(0.0, 0, 1, 0, 5, 0, 9, 0) == 16
-    assert collisions.segments_squared(0.0, 0, 6, 0, 5, 0, 9, 0) == 0
-
-
 def test_a_long_capsule_has_more_neighbors():
     unit = rs.Positioner(4 * MM, 4 * MM, 1 * MM, arm_model="capsule", arm_length=10 * MM, arm_angle=30 * u.deg)
     plane = rs.FocalPlane([[0, 0], [28, 0]] * MM, unit)  # 2 (4 + 10) + 2 = 30 mm
     assert len(plane.neighbor_pairs()) == 1
-    arms = place_arms(plane, [[8, 0], [20, 0]] * MM)
-    turn = np.deg2rad(30)
+    arms, turn = place_arms(plane, [[8, 0], [20, 0]] * MM), np.deg2rad(30)
     np.testing.assert_allclose(arms.segments[0], [4, 0, 4 + 10 * np.cos(turn), 10 * np.sin(turn)], atol=1e-9)
 
 
@@ -102,8 +96,7 @@ def test_clipped_arms_point_to_their_target():
 
 def test_a_larger_clearance_never_removes_a_pair(rng):
     plane = sdss_like()
-    tips = random_tips(plane, rng)
-    before = set()
+    tips, before = random_tips(plane, rng), set()
     for clearance in (0, 0.5, 1.5, 2.5, 4):
         wider = replace(plane, positioner=replace(plane.positioner, clearance=clearance * MM))
         pairs = {tuple(p) for p in rs.find_collisions(wider, tips).pairs}
@@ -112,46 +105,33 @@ def test_a_larger_clearance_never_removes_a_pair(rng):
 
 
 def test_parked_equal_arms_stand_in_the_way():
-    plane = lamost_like(rings=0)
-    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, plane.positioner)
+    plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, lamost_like(rings=0).positioner)
     # the arm reaches the parked arm of the neighbor, which extends from (25.6, 0) to its elbow
-    tips = [[16, 0], [np.nan, np.nan]] * MM
-    parked_home = replace(plane, positioner=replace(plane.positioner, home=[180, 180] * u.deg))
+    tips, home = [[16, 0], [np.nan, np.nan]] * MM, [180, 180] * u.deg
+    parked_home = replace(plane, positioner=replace(plane.positioner, home=home))
     report = rs.find_collisions(parked_home, tips)
-    assert report.pairs.tolist() == [[0, 1]]
-    assert report.rate == 1
-    assert report.rate_assigned == 1
+    assert (report.pairs.tolist(), report.rate, report.rate_assigned) == ([[0, 1]], 1, 1)
     ignored = rs.find_collisions(parked_home, tips, parked_obstacles=False)
-    assert len(ignored.pairs) == 0
-    assert ignored.counted.tolist() == [True, False]
-    # the arm parked at theta = 0 points away from the neighbor
-    away = rs.find_collisions(plane, tips)
-    assert len(away.pairs) == 0
-    assert away.counted.tolist() == [True, True]
-    assert away.rate == 0
+    assert (len(ignored.pairs), ignored.counted.tolist()) == (0, [True, False])
+    away = rs.find_collisions(plane, tips)  # the arm parked at theta = 0 points away from the neighbor
+    assert (len(away.pairs), away.counted.tolist(), away.rate) == (0, [True, True], 0)
 
 
 def test_idle_unequal_arms_give_way():
-    plane = sdss_like(rings=1)
-    tips = np.full((7, 2), np.nan)
+    plane, tips = sdss_like(rings=1), np.full((7, 2), np.nan)
     tips[3] = plane.arrays.xy[3] + [15, 0]
     report = rs.find_collisions(plane, tips * MM)
-    assert len(report.pairs) == 0
-    assert report.counted.sum() == 1
-    arms = place_arms(plane, tips * MM)
-    assert arms.present.sum() == 1
+    assert (len(report.pairs), report.counted.sum()) == (0, 1)
+    assert place_arms(plane, tips * MM).present.sum() == 1
 
 
 def test_disabled_and_stuck_arms_are_obstacles_but_not_counted():
-    base = sdss_like(rings=1)
-    stuck = np.full((7, 2), np.nan)
+    base, stuck = sdss_like(rings=1), np.full((7, 2), np.nan)
     stuck[4] = [180, 0]  # the arm is stretched toward the central positioner
-    plane = replace(base, stuck=stuck * u.deg)
-    tips = np.full((7, 2), np.nan)
+    plane, tips = replace(base, stuck=stuck * u.deg), np.full((7, 2), np.nan)
     tips[3] = base.arrays.xy[3] + [20, 0]
     report = rs.find_collisions(plane, tips * MM)
-    assert report.pairs.tolist() == [[3, 4]]
-    assert report.counted.tolist() == [False] * 3 + [True] + [False] * 3
+    assert (report.pairs.tolist(), report.counted.tolist()) == ([[3, 4]], [False] * 3 + [True] + [False] * 3)
     assert report.rate == 1
     arms = place_arms(replace(base, disabled=np.arange(7) == 4), tips * MM)
     assert arms.present.tolist() == [False] * 3 + [True, True] + [False] * 2
@@ -165,8 +145,7 @@ def test_obstacles_count():
     for x, n in ((13.0, 0), (12.999, 1)):
         plane = rs.FocalPlane([[0, 0]] * MM, unit, obstacles=[[x, 0, 3], [50, 0, 3]] * MM)
         report = rs.find_collisions(plane, [[8, 0]] * MM)
-        assert len(report.obstacle_pairs) == n
-        assert report.in_collision.tolist() == [bool(n)]
+        assert (len(report.obstacle_pairs), report.in_collision.tolist()) == (n, [bool(n)])
     np.testing.assert_allclose(report.obstacle_distances.value, [1.999])
 
 
@@ -210,8 +189,7 @@ def test_the_capsule_is_turned_from_the_fiber():
 def test_nearest_distance_is_that_of_brute_force(rng):
     for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05)):
         arms = place_arms(plane, random_tips(plane, rng, part))
-        got = nearest_distance(plane, arms)
-        there = np.flatnonzero(arms.present)
+        got, there = nearest_distance(plane, arms), np.flatnonzero(arms.present)
         assert np.isnan(got[~arms.present]).all()
         for i in there:
             pairs = np.array([(i, j) for j in there if j != i]).reshape(-1, 2)
@@ -255,26 +233,22 @@ def test_the_fold_bound_is_sharp():
     assert len(folded.pairs) == 0
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from .* must be .* to .* mm, got 30 mm"),
-        ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
-        ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
-        ({}, "either tips, or both theta and phi, must be given"),
-        ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
-        ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
-        (
-            {"tips": [[3, 0], [30, 0]] * MM, "method": "guess"},
-            "unknown collision method 'guess'; choose one of: ",
-        ),
-        ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness of an arm 'up'"),
-    ],
-)
+BAD_INPUT = [
+    ({"tips": [[30, 0], [30, 0]] * MM}, "positioner 0: its distance from .* must be .* to .* mm, got 30 mm"),
+    ({"tips": [[3, 0]] * MM}, "tips must have a row for each of the 2 positioners, got 1"),
+    ({"tips": [[3, 0], [30, 0]]}, "tips must be a Quantity"),
+    ({}, "either tips, or both theta and phi, must be given"),
+    ({"theta": [1, 2] * u.deg}, "either tips, or both theta and phi, must be given"),
+    ({"theta": [1, 2] * u.deg, "phi": [1] * u.deg}, r"phi must have the shape \(2,\)"),
+    ({"tips": [[3, 0], [30, 0]] * MM, "method": "guess"}, "unknown collision method 'guess'; choose one of: "),
+    ({"tips": [[3, 0], [30, 0]] * MM, "handedness": "up"}, "unknown handedness of an arm 'up'"),
+]
+
+
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     plane = rs.FocalPlane([[0, 0], [25.6, 0]] * MM, rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM))
-    with pytest.raises(rs.InputError, match=message):
-        rs.find_collisions(plane, **arguments)
+    refused(message, lambda: rs.find_collisions(plane, **arguments))
 
 
 @pytest.mark.parametrize("method", ["exact", "sampled", "sweep", "scipy"])

@@ -13,7 +13,7 @@ from rfpsurvey.collision import LAWS, find_motion
 
 MM = u.mm
 N_BLOCK = 500  # pairs of arms in a block
-N_BLOCKS = int(os.environ.get("RFPSURVEY_MOTIONS", 40))
+N_BLOCKS = int(os.environ.get("RFPSURVEY_MOTIONS", 6))
 
 
 @numba.njit
@@ -42,8 +42,7 @@ def random_pairs(rng, n):
     offset = rng.uniform(-400, 400, (n, 2)) * (rng.random(n) < 0.5)[:, None]
     one[:, :2] += offset
     two[:, :2] += offset
-    separation = rng.uniform(0, 6, n) * (rng.random(n) < 0.95)
-    close = rng.random(n) < 0.5
+    separation, close = rng.uniform(0, 6, n) * (rng.random(n) < 0.95), rng.random(n) < 0.5
     for k in np.flatnonzero(close):
         least = least_distance(one[k], two[k], n=200, rounds=2)
         separation[k] = max(least + rng.choice([-1, 1]) * 10.0 ** rng.uniform(-9, -2), 0.0)
@@ -52,8 +51,7 @@ def random_pairs(rng, n):
 
 @pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, N_BLOCKS))])
 def test_arms_that_never_meet_keep_the_separation_and_others_miss_it_by_the_tolerance(block):
-    rng = np.random.default_rng([7, block])
-    one, two, separation = random_pairs(rng, N_BLOCK)
+    one, two, separation = random_pairs(np.random.default_rng([7, block]), N_BLOCK)
     meets = np.empty(N_BLOCK, dtype=bool)
     decide(one, two, separation, meets)
     assert 0.2 < meets.mean() < 0.8
@@ -84,7 +82,7 @@ UNITS = {
 
 @pytest.mark.parametrize("law", LAWS)
 @pytest.mark.parametrize("name", UNITS)
-@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 20))])
+@pytest.mark.parametrize("block", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 4))])
 def test_pairs_of_all_arm_models_agree_with_sampled_motions(name, law, block):
     rng, unit = np.random.default_rng([block, len(name), len(law)]), UNITS[name]
     separation, n, n_colliding = unit.numbers.separation, 20, 0
@@ -107,12 +105,10 @@ def test_folding_after_a_plan_is_checked_like_unfolding_to_it():
     plane = rs.FocalPlane([[0, 0], [25, 0]] * MM, rs.Positioner(8 * MM, 17 * MM, 2 * MM))
     bad, good = [[16, -12], [14, 12]] * MM, [[-16, -12], [40, 12]] * MM
     assert len(rs.find_collisions(plane, bad).pairs) == 0
-    assert find_motion(plane, bad).pairs.tolist() == [[0, 1]]
-    assert len(find_motion(plane, good).pairs) == 0
+    assert (find_motion(plane, bad).pairs.tolist(), len(find_motion(plane, good).pairs)) == ([[0, 1]], 0)
     for arms, before in ((bad, good), (good, bad), (bad, bad)):
         report = find_motion(plane, arms, before=before)
-        assert report.pairs.tolist() == [[0, 1]]
-        assert report.needs_planner.tolist() == [True, True]
+        assert (report.pairs.tolist(), report.needs_planner.tolist()) == ([[0, 1]], [True, True])
     assert find_motion(plane, good, before=good).n_planner == 0
 
 
@@ -134,17 +130,14 @@ def test_folded_arms_that_can_touch_are_named():
     unit = rs.Positioner(8 * MM, 17 * MM, 2 * MM, phi_range=[0, 150] * u.deg)
     plane = rs.FocalPlane([[0, 0], [25, 0], [80, 0]] * MM, unit)  # folded arms extend to 10.9 mm
     report = find_motion(plane, [[-24, 0], [49, 0], [100, 0]] * MM)
-    assert report.touching.tolist() == [[0, 1]]
-    assert report.needs_planner.tolist() == [True, True, False]
+    assert (report.touching.tolist(), report.needs_planner.tolist()) == ([[0, 1]], [True, True, False])
 
 
 def test_folded_arms_turn_only_where_broken_arms_leave_space():
     """A stuck arm, which points at the center of its neighbor, leaves an arc to the folded arm of this neighbor."""
     unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM)
-    stuck = [[np.nan, np.nan], [180, 20]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=stuck)
-    segment = rs.collision.place_arms(plane, [[np.nan] * 2] * 2 * MM).segments[1]
-    clear = []
+    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=[[np.nan, np.nan], [180, 20]] * u.deg)
+    segment, clear = rs.collision.place_arms(plane, [[np.nan] * 2] * 2 * MM).segments[1], []
     for theta in np.deg2rad(np.arange(360)):
         elbow = 8 * np.array([np.cos(theta), np.sin(theta)])
         one = np.array([elbow, elbow - 14 * elbow / 8])
@@ -165,8 +158,7 @@ def test_folded_arms_turn_only_where_broken_arms_leave_space():
         reference = (theta, arms) if reference is None and not report.blocked[0] else reference
         # the free directions form two arcs, on both sides of the stuck arm
         between = np.arange(reference[0], theta + 1)
-        others = np.r_[theta:360, : reference[0] + 1]
-        free = (clear[between] > 0).all() or (clear[others] > 0).all()
+        free = (clear[between] > 0).all() or (clear[np.r_[theta:360, : reference[0] + 1]] > 0).all()
         if abs(clear[between]).min() > 0.1 or not free:
             assert find_motion(plane, arms, before=reference[1]).blocked[0] == (not free)
             assert report.blocked[0] == (not free)
@@ -176,8 +168,7 @@ def test_folded_arms_turn_only_where_broken_arms_leave_space():
 def test_arms_turn_between_all_directions_that_they_reach_from_the_parked_pose():
     """A joint range of more than 360 deg contains the parked pose twice, in different arcs of joint angles."""
     unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM, theta_range=[0, 380] * u.deg)
-    stuck = [[np.nan, np.nan], [180, 20]] * u.deg
-    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=stuck)
+    plane = rs.FocalPlane([[0, 0], [22, 0]] * MM, unit, stuck=[[np.nan, np.nan], [180, 20]] * u.deg)
     poses = []
     for theta in range(0, 360, 10):
         pose = {"theta": [theta, np.nan] * u.deg, "phi": [179.0, np.nan] * u.deg}

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import shapely
 from outlined import DESI_LIKE, placed
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.collision import place_arms
@@ -86,14 +87,12 @@ def test_touching_a_polygon_is_decided_exactly():
 
 
 def test_methods_of_probability_agree_near_polygons():
-    plane = plane_of(SEGMENT)
-    targets = rs.probability.RandomTargets(number=150)
+    plane, targets = plane_of(SEGMENT), rs.probability.RandomTargets(number=150)
     found = [
         rs.collision_probability(plane, targets=targets, method=method, precision=0.004, rng=2)
         for method in ("conditional", "monte_carlo")
     ]
-    error = np.hypot(*(one.standard_error for one in found))
-    assert abs(found[0].value - found[1].value) < 4 * error
+    assert abs(found[0].value - found[1].value) < 4 * np.hypot(*(one.standard_error for one in found))
     bare = rs.collision_probability(
         replace(plane, obstacle_polygons=None), targets=targets, method="conditional", precision=0.004, rng=2
     )
@@ -109,15 +108,14 @@ def test_polygons_survive_tables_and_pickles(tmp_path):
     assert repr(plane) == "<FocalPlane of 61 positioners, 5 obstacles>"
 
 
-@pytest.mark.parametrize(
-    ("polygons", "sentence"),
-    [
-        ([[[0, 0], [1, 0]] * u.mm], r"obstacle_polygons\[0\] must have at least three vertices"),
-        ([[[0, 0], [4, 0], [1, 1], [0, 4]] * u.mm], r"obstacle_polygons\[0\] must be a convex polygon"),
-        ([[[0, 0], [4, 0], [1, 1]]], "unit"),
-        ([[0, 0], [4, 0], [1, 1]] * u.mm, "obstacle_polygons must be a list of polygons"),
-    ],
-)
+BAD_POLYGONS = [
+    ([[[0, 0], [1, 0]] * u.mm], r"obstacle_polygons\[0\] must have at least three vertices"),
+    ([[[0, 0], [4, 0], [1, 1], [0, 4]] * u.mm], r"obstacle_polygons\[0\] must be a convex polygon"),
+    ([[[0, 0], [4, 0], [1, 1]]], "unit"),
+    ([[0, 0], [4, 0], [1, 1]] * u.mm, "obstacle_polygons must be a list of polygons"),
+]
+
+
+@pytest.mark.parametrize(("polygons", "sentence"), BAD_POLYGONS)
 def test_bad_polygons_are_refused(polygons, sentence):
-    with pytest.raises(rs.InputError, match=sentence):
-        rs.FocalPlane([[0, 0]] * u.mm, SEGMENT, obstacle_polygons=polygons)
+    refused(sentence, rs.FocalPlane, [[0, 0]] * u.mm, SEGMENT, obstacle_polygons=polygons)

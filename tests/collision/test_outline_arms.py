@@ -87,12 +87,10 @@ def gap_of(first, second) -> float:
 
 def test_outlines_collide_as_in_shapely():
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=5, pitch=9.5 * u.mm)
-    limit = DESI_LIKE.min_separation.to_value(u.mm)
-    n_pairs = 0
+    limit, n_pairs = DESI_LIKE.min_separation.to_value(u.mm), 0
     for seed in range(4):
         plan = rs.allocate(plane, random_targets(plane, 400, seed), allocator="balanced")
-        arms = place_arms(plane, plan.tips)
-        report = rs.find_collisions(plane, plan)
+        arms, report = place_arms(plane, plan.tips), rs.find_collisions(plane, plan)
         shapes = {
             k: placed(DESI_LIKE, plane.arrays.xy[k], arms.elbow[k], arms.tip[k]) for k in np.flatnonzero(arms.present)
         }
@@ -124,8 +122,7 @@ def test_other_methods_refuse_outlines(method):
 
 def test_outline_survives_tables_and_descriptions(tmp_path):
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
-    path = tmp_path / "plane.ecsv"
-    plane.to_table().write(path)
+    plane.to_table().write(tmp_path / "plane.ecsv")
     again = rs.FocalPlane.from_table(rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm).to_table())
     assert again.positioner.outline.to_dict() == DESI_LIKE.outline.to_dict()
     text = """
@@ -160,12 +157,6 @@ plate_scale = { value = 60.0, unit = "um/arcsec" }
     }
 
 
-def test_outlines_are_drawn():
-    plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=2, pitch=9.5 * u.mm)
-    ax = Figure().subplots()
-    rs.plot.plot_focal_plane(plane, ax=ax)
-
-
 def test_parts_of_an_outline_are_one_path_per_arm():
     """Overlapping parts are filled once, and no edges between parts are visible."""
     plane = rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm)
@@ -173,6 +164,7 @@ def test_parts_of_an_outline_are_one_path_per_arm():
     sky = center.directional_offset_by(np.arange(60) * u.deg, np.arange(60) * 4 * u.arcsec)
     catalog = rs.Catalog(sky)
     tile = rs.plan_tile(catalog, rs.Instrument("test", plane, plate_scale=60 * u.um / u.arcsec), center)
+    rs.plot.plot_focal_plane(plane, ax=Figure().subplots())
     ax = Figure().subplots()
     rs.plot.plot_focal_plane(tile, ax=ax)
     elbows, tips = (np.column_stack([tile.table[f"{n}_x"].value, tile.table[f"{n}_y"].value]) for n in ("elbow", "tip"))

@@ -40,8 +40,7 @@ def two(parts, *, separation=0.0, distance=10.0, turned=False, central=(), arm=3
     outline = make_outline(shape, elbows - [arm, 0.0], np.full(2, arm))
     length = shape.length.value * np.array([1.0, -1.0 if turned else 1.0])
     cores = np.column_stack([elbows, elbows + np.column_stack([length, [0.0, 0.0]])])
-    total = separation + outline.offset
-    squared = outlines.outlines_squared(outline, total, 0, 1, *cores[0], *cores[1])
+    squared = outlines.outlines_squared(outline, separation + outline.offset, 0, 1, *cores[0], *cores[1])
     return np.sqrt(squared) - outline.offset, outlines_closer_exactly(outline, 0, 1, *cores, separation)
 
 
@@ -116,8 +115,7 @@ def test_the_error_is_within_the_bound_and_the_bound_is_not_idle(seeds):
         for k, gap in enumerate(gaps(pairs)):
             if not 1e-3 < gap < 10:
                 continue
-            bound = outlines.OUTLINE_ERROR * (size[k] + outline.offset)
-            n = outline.n_eccentric
+            bound, n = outlines.OUTLINE_ERROR * (size[k] + outline.offset), outline.n_eccentric
             parts = [[exact_points(placed[2 * k + side], *span) for span in pairwise(spans)] for side in (0, 1)]
 
             def within(limit, parts=parts, n=n):
@@ -133,8 +131,7 @@ def test_the_error_is_within_the_bound_and_the_bound_is_not_idle(seeds):
 
 def test_no_outline_has_no_parts():
     empty = make_outline(None, np.zeros((3, 2)), np.ones(3))
-    assert empty.start.size == 1
-    assert empty.offset == 0.0
+    assert (empty.start.size, empty.offset) == (1, 0.0)
 
 
 def test_the_offset_is_the_difference_of_the_broad_phase():

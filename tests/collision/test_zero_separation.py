@@ -68,8 +68,7 @@ def test_arms_whose_fibers_meet_collide():
 def test_plans_contain_no_arms_that_cross(tips, crossing, allocator):
     for both, crosses in zip(tips[:60], crossing[:60], strict=True):
         plan = rs.allocate(plane(0), both * u.mm, allocator=allocator)
-        found = rs.find_collisions(plane(0), plan)
-        assert len(found.pairs) == 0
+        assert len(rs.find_collisions(plane(0), plan).pairs) == 0
         assert plan.target_of_positioner.min() >= 0 or crosses
 
 

@@ -43,7 +43,6 @@ def test_a_survey_is_resumed_with_the_circles_that_it_records(tmp_path):
 
 
 def test_the_radii_around_bright_stars_keep_all_digits():
-    radius = [(10.1, 0.1 + 0.2), (12.3, 1 / 3)]
-    text = str(rs.constraints.BrightStars("g", radius=radius))
+    text = str(rs.constraints.BrightStars("g", radius=[(10.1, 0.1 + 0.2), (12.3, 1 / 3)]))
     assert repr(0.1 + 0.2) in text
     assert repr(1 / 3) in text

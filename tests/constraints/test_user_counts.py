@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from raising import warned
 
 import rfpsurvey as rs
 from rfpsurvey.constraints import Group
@@ -40,8 +41,7 @@ class SkyInQuadrants(rs.constraints.Constraint):
 def sky(small):
     """Return targets of which most sky positions are in one half of the field."""
     sky = rs.synthetic_catalog("uniform", CENTER, small.field_radius, n_targets=400, rng=3)
-    rng = np.random.default_rng(4)
-    fraction = np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
+    rng, fraction = np.random.default_rng(4), np.where(sky.coord.ra > CENTER.ra, 0.5, 0.08)
     return rs.Catalog(sky.coord, kind=np.where(rng.random(400) < fraction, "sky", "science"))
 
 
@@ -63,8 +63,7 @@ def test_every_quadrant_has_its_sky_fibers(sky, small, allocator):
 def test_quadrants_that_lack_sky_fibers_are_named(sky, small):
     few = sky[np.flatnonzero((sky.kind == "science") | (sky.coord.ra.deg > CENTER.ra.deg + 0.15))]
     asked = rs.AllocationOptions("optimal", constraints=SkyInQuadrants(2, 20))
-    with pytest.warns(rs.RfpsurveyWarning, match="4 missing in 1 of 1 tile"):
-        survey = rs.plan_survey(few, small, CENTER, allocator=asked)
+    survey = warned("4 missing in 1 of 1 tile", rs.plan_survey, few, small, CENTER, allocator=asked)
     tile = rs.plan_tile(few, small, CENTER, allocator=asked)
     has_sky = np.asarray(tile.table["kind"]) == "sky"
     n = np.bincount(quadrant(small.focal_plane.arrays.xy)[has_sky], minlength=4)

@@ -8,6 +8,7 @@ from astropy.table import QTable, Table
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
+from raising import refused, warned
 
 import rfpsurvey as rs
 from oracles import in_annulus
@@ -29,7 +30,7 @@ def brute_force(plane, xy):
     ).reshape(len(plane), len(xy))
 
 
-@pytest.mark.parametrize("rings", [0, 1, 2, 13])
+@pytest.mark.parametrize("rings", [0, 1, 13])
 def test_rings(rings):
     plane = rs.FocalPlane.hexagonal(robot(), rings=rings, pitch=25.6 * MM)
     assert len(plane) == 3 * rings * (rings + 1) + 1
@@ -38,8 +39,7 @@ def test_rings(rings):
 
 def test_count_takes_the_nearest_cells():
     plane = rs.FocalPlane.hexagonal(robot(), count=4000, pitch=25.6 * MM)
-    everything = rs.FocalPlane.hexagonal(robot(), rings=50, pitch=25.6 * MM)
-    r = np.sort(np.hypot(*everything.xy.value.T))
+    r = np.sort(np.hypot(*rs.FocalPlane.hexagonal(robot(), rings=50, pitch=25.6 * MM).xy.value.T))
     assert len(plane) == 4000
     np.testing.assert_allclose(np.sort(np.hypot(*plane.xy.value.T)), r[:4000])
     assert r[3999] < 848.7 + 0.1
@@ -68,8 +68,7 @@ def test_size_must_be_said_once(size):
         rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, **size)
     with pytest.raises(rs.InputError, match="pitch must be one finite value above 0 mm"):
         rs.FocalPlane.hexagonal(robot(), pitch=0 * MM, rings=1)
-    with pytest.raises(rs.InputError, match="fewer than count"):
-        rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, count=50, radius=30 * MM)
+    refused("fewer than count", lambda: rs.FocalPlane.hexagonal(robot(), pitch=25.6 * MM, count=50, radius=30 * MM))
 
 
 @pytest.mark.parametrize(("pitch", "kind"), [(40, 1), (37.5, 1), (37.4, 2), (25.6, 2), (20, 3)])
@@ -79,8 +78,7 @@ def test_collision_type(pitch, kind):
 
 
 def test_neighbor_pairs_are_those_of_brute_force(rng):
-    xy = rng.uniform(-100, 100, (120, 2))
-    arms = rng.uniform(3, 12, (120, 2))
+    xy, arms = rng.uniform(-100, 100, (120, 2)), rng.uniform(3, 12, (120, 2))
     plane = rs.FocalPlane(xy * MM, robot(), central_arm=arms[:, 0] * MM, eccentric_arm=arms[:, 1] * MM)
     reach = arms.sum(axis=1)
     expected = [
@@ -113,8 +111,7 @@ def test_edges_of_the_patrol_area_belong_to_it():
     inside = [[22.4, 0], [0, -22.4], [100, 7.6], [92.4, 0]]
     outside = [[np.nextafter(22.4, 23), 0], [0, np.nextafter(7.6, 0)]]
     got = plane.reachable((inside + outside) * MM).toarray()
-    expected = brute_force(plane, np.array(inside + outside, dtype=float))
-    np.testing.assert_array_equal(got, expected)
+    np.testing.assert_array_equal(got, brute_force(plane, np.array(inside + outside, dtype=float)))
     assert not got[:, -2:].any()
 
 
@@ -140,117 +137,97 @@ def test_reach_respects_fiber_types_disabled_and_stuck_units():
     assert not replace(plane, disabled=[False, True]).reachable(xy).toarray()[1].any()
     stuck = [[np.nan, np.nan], [30, 90]] * u.deg
     assert not replace(plane, stuck=stuck).reachable(xy).toarray()[1].any()
-    with pytest.raises(rs.InputError, match="fiber_type must be one of BOSS, APOGEE or empty, got HERMES"):
-        plane.reachable(xy, ["HERMES", "", ""])
+    refused("fiber_type must be one of BOSS, APOGEE or empty, got HERMES", plane.reachable, xy, ["HERMES", "", ""])
 
 
 @pytest.mark.parametrize("hand", ["right", "left", "both"])
 def test_reach_respects_joint_limits(hand, rng):
     limits = {"theta_range": [-30, 120] * u.deg, "phi_range": [-150, 150] * u.deg, "handedness": hand}
     unit = robot(7.4, 15.0, **limits)
-    plane = rs.FocalPlane([[3, 4]] * MM, unit)
-    xy = rng.uniform(-25, 25, (400, 2)) + [3, 4]
+    plane, xy = rs.FocalPlane([[3, 4]] * MM, unit), rng.uniform(-25, 25, (400, 2)) + [3, 4]
     expected = np.isfinite(unit.inverse((xy - [3, 4]) * MM)[0].value)
     np.testing.assert_array_equal(plane.reachable(xy * MM).toarray()[0], expected)
     assert 0 < expected.sum() < brute_force(plane, xy).sum()
 
 
-def test_table_round_trip(tmp_path):
-    plane = rs.FocalPlane(
-        [[0, 0], [25.6, 0], [0, 30]] * MM,
-        robot(),
-        id=["A", "B", "C"],
-        spectrograph=[1, 1, 2],
-        central_arm=[8.2, 8.25, 8.3] * MM,
-        eccentric_arm=[8.25, 8.25, 8.2] * MM,
-        disabled=[True, False, False],
-        stuck=[[np.nan, np.nan], [10, 170], [np.nan, np.nan]] * u.deg,
-        obstacles=[[50, 50, 3]] * MM,
-    )
-    path = tmp_path / "plane.ecsv"
+ARMS = {"central_arm": [8.2, 8.25, 8.3] * MM, "eccentric_arm": [8.25, 8.25, 8.2] * MM, "id": ["A", "B", "C"]}
+ARMS |= {"spectrograph": [1, 1, 2], "disabled": [True, False, False]}
+ARMS["stuck"] = [[np.nan, np.nan], [10, 170], [np.nan, np.nan]] * u.deg
+FIBERS = {"fiber_type": ["A", "B"], "zero_points": [[0, 1], [2, 3]] * u.deg}
+FIBERS |= {"theta_range": [[0, 350], [5, 360]] * u.deg, "phi_range": [[0, 180], [10, 170]] * u.deg}
+FIBERS["fiber_xy"] = {"A": [[8.25, 0], [8.2, 0.1]] * MM, "B": [[8.0, -0.2], [8.1, 0.3]] * MM}
+
+
+@pytest.mark.parametrize("columns", [ARMS, FIBERS])
+def test_table_round_trip(tmp_path, columns):
+    xy, path = [[0, 0], [25.6, 0], [0, 30]][: 3 if columns is ARMS else 2] * MM, tmp_path / "plane.ecsv"
+    plane = rs.FocalPlane(xy, robot(), obstacles=[[50, 50, 3]] * MM, **columns)
     plane.to_table().write(path)
     back = rs.FocalPlane.from_table(QTable.read(path))
-    for name in ("xy", "id", "spectrograph", "central_arm", "eccentric_arm", "disabled", "stuck", "obstacles"):
-        np.testing.assert_array_equal(getattr(back, name), getattr(plane, name))
-    assert back.positioner.min_separation == plane.positioner.min_separation
-    plane = rs.FocalPlane(
-        [[0, 0], [25.6, 0]] * MM,
-        robot(),
-        fiber_type=["A", "B"],
-        fiber_xy={"A": [[8.25, 0], [8.2, 0.1]] * MM, "B": [[8.0, -0.2], [8.1, 0.3]] * MM},
-        zero_points=[[0, 1], [2, 3]] * u.deg,
-        theta_range=[[0, 350], [5, 360]] * u.deg,
-        phi_range=[[0, 180], [10, 170]] * u.deg,
-        obstacles=[[50, 50, 3]] * MM,
-    )
-    plane.to_table().write(path, overwrite=True)
-    back = rs.FocalPlane.from_table(QTable.read(path))
-    assert set(back.fiber_xy) == {"A", "B"}
-    for name, places in plane.fiber_xy.items():
+    for name in ("xy", "obstacles", *set(columns) - {"fiber_xy"}):
+        given = getattr(plane, name)
+        if columns is FIBERS and name in ("zero_points", "theta_range", "phi_range"):
+            np.testing.assert_allclose(getattr(back, name), given, rtol=0, atol=1e-12 * u.deg)
+        else:
+            np.testing.assert_array_equal(getattr(back, name), given)
+    assert set(back.fiber_xy or ()) == set(plane.fiber_xy or ())
+    for name, places in (plane.fiber_xy or {}).items():
         np.testing.assert_array_equal(back.fiber_xy[name], places)
-    for name in ("zero_points", "theta_range", "phi_range"):
-        np.testing.assert_allclose(getattr(back, name), getattr(plane, name), rtol=0, atol=1e-12 * u.deg)
-    assert rs.FocalPlane.from_table(Table({"x": [0, 1] * u.cm, "y": [0, 0] * u.cm}), robot()).xy[1, 0] == 10 * MM
+    assert back.positioner.min_separation == plane.positioner.min_separation
+    table = Table({"x": [0, 1] * u.cm, "y": [0, 0] * u.cm, "fiber_id": [3, 4], "comment": ["a", "b"]})
+    assert rs.FocalPlane.from_table(table, robot()).xy[1, 0] == 10 * MM
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
-        ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
-        ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
-        ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
-        ({"x": [0] * MM, "y": [0] * MM}, "without the argument positioner, the meta of the table must have an entry"),
-    ],
-)
+BAD_TABLES = [
+    ({"x": [0] * MM}, "there is no column 'y'; the columns are: x"),
+    ({"x": [0.0], "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got none"),
+    ({"x": [0] * u.deg, "y": [0] * MM}, "column 'x' must have a unit convertible to mm, got deg"),
+    ({"x": [0] * MM, "y": [0] * MM}, "without the argument positioner, the meta of the table must have an entry"),
+]
+
+
+@pytest.mark.parametrize(("table", "message"), BAD_TABLES)
 def test_bad_tables_are_named(table, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.FocalPlane.from_table(QTable(table))
+    refused(message, lambda: rs.FocalPlane.from_table(QTable(table)))
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("disable", "the column 'disable' is ignored; did you mean 'disabled'?"),
-        ("Central_Arm", "the column 'Central_Arm' is ignored; did you mean 'central_arm'?"),
-        ("stuck_theta", "the column 'stuck_theta' is ignored, because there is no column 'stuck_phi'"),
-        ("phi_max", "the column 'phi_max' is ignored, because there is no column 'phi_min'"),
-        ("fiber_x_A", "the column 'fiber_x_A' is ignored, because there is no column 'fiber_y_A'"),
-        ("fiber_y", "the column 'fiber_y' is ignored, because there is no column 'fiber_x'"),
-    ],
-)
+IGNORED_COLUMNS = [
+    ("disable", "the column 'disable' is ignored; did you mean 'disabled'?"),
+    ("Central_Arm", "the column 'Central_Arm' is ignored; did you mean 'central_arm'?"),
+    ("stuck_theta", "the column 'stuck_theta' is ignored, because there is no column 'stuck_phi'"),
+    ("phi_max", "the column 'phi_max' is ignored, because there is no column 'phi_min'"),
+    ("fiber_x_A", "the column 'fiber_x_A' is ignored, because there is no column 'fiber_y_A'"),
+    ("fiber_y", "the column 'fiber_y' is ignored, because there is no column 'fiber_x'"),
+]
+
+
+@pytest.mark.parametrize(("name", "message"), IGNORED_COLUMNS)
 def test_ignored_columns_of_tables_are_named(name, message):
     """A misspelled column of disabled positioners made these positioners usable without a message."""
     table = QTable({"x": [0, 30] * MM, "y": [0, 0] * MM, name: [1, 0]})
-    with pytest.warns(rs.RfpsurveyWarning, match=re.escape(message)):
-        rs.FocalPlane.from_table(table, robot())
+    warned(re.escape(message), lambda: rs.FocalPlane.from_table(table, robot()))
 
 
-def test_other_columns_of_tables_are_allowed():
-    table = QTable({"x": [0, 30] * MM, "y": [0, 0] * MM, "fiber_id": [1, 2], "comment": ["", "new"]})
-    assert len(rs.FocalPlane.from_table(table, robot())) == 2
+BAD_INPUT = [
+    ({"xy": [[0, 0], [0, 0]] * MM}, "two positioners have the same center"),
+    ({"xy": np.empty((0, 2)) * MM}, "at least one positioner"),
+    ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, got 1 rows"),
+    ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
+    ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
+    ({"id": [1]}, "id must have one value per positioner"),
+    ({"id": ["a b", "c"]}, "id must be text without blanks, because tables separate ids by blanks, got 'a b'"),
+    ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
+    ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
+    ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
+    ({"obstacles": [[1, 2]] * MM}, "obstacles must have rows"),
+    ({"spectrograph": [[0, 1], [0, 1]]}, "spectrograph must have the shape"),
+]
 
 
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"xy": [[0, 0], [0, 0]] * MM}, "two positioners have the same center"),
-        ({"xy": np.empty((0, 2)) * MM}, "at least one positioner"),
-        ({"xy": [[0, np.nan], [0, 1]] * MM}, "xy must be finite, got 1 rows"),
-        ({"xy": [0, 1] * MM}, r"xy must have the shape \(n, 2\)"),
-        ({"id": [1, 1]}, "id must be unique, but .*1.* occurs more than once"),
-        ({"id": [1]}, "id must have one value per positioner"),
-        ({"id": ["a b", "c"]}, "id must be text without blanks, because tables separate ids by blanks, got 'a b'"),
-        ({"central_arm": [8.2] * MM}, r"central_arm must be 2 positive lengths, got the shape \(1,\)"),
-        ({"central_arm": [1, -1] * MM}, "central_arm must be 2 positive lengths"),
-        ({"stuck": [1, 2] * u.deg}, r"stuck must have the shape \(2, 2\)"),
-        ({"obstacles": [[1, 2]] * MM}, "obstacles must have rows"),
-        ({"spectrograph": [[0, 1], [0, 1]]}, "spectrograph must have the shape"),
-    ],
-)
+@pytest.mark.parametrize(("arguments", "message"), BAD_INPUT)
 def test_bad_input_is_named(arguments, message):
     good = {"xy": [[0, 0], [30, 0]] * MM, "positioner": robot()}
-    with pytest.raises(rs.InputError, match=message):
-        rs.FocalPlane(**{**good, **arguments})
+    refused(message, lambda: rs.FocalPlane(**{**good, **arguments}))
 
 
 def test_fiber_types_are_names_between_plus_signs():

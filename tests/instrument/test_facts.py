@@ -33,10 +33,8 @@ def test_a_hexagonal_grid_has_the_facts_of_the_closed_forms():
     facts = lattice(rings=4).facts()
     side, reach, focal_length = 4 * 25.6, 16.5, 200 / np.deg2rad(1)
     assert facts["positioners"] == facts["usable_positioners"] == 61
-    assert facts["field_shape"] == "hexagon"
-    assert facts["pitch"].to_value(MM) == 25.6
-    assert facts["patrol_radius"].to_value(MM) == reach
-    assert facts["inner_patrol_radius"].to_value(MM) == 0
+    assert (facts["field_shape"], facts["pitch"].to_value(MM)) == ("hexagon", 25.6)
+    assert (facts["patrol_radius"].to_value(MM), facts["inner_patrol_radius"].to_value(MM)) == (reach, 0)
     assert facts["focal_plane_radius"].to_value(MM) == pytest.approx(side + reach, abs=1e-9)
     assert facts["field_radius"].to_value(u.rad) == pytest.approx(np.arctan((side + reach) / focal_length), rel=1e-9)
     hexagon = 1.5 * np.sqrt(3) * side**2
@@ -52,8 +50,7 @@ def test_a_hexagonal_grid_has_the_facts_of_the_closed_forms():
 @pytest.mark.parametrize(("l1", "l2"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (6.0, 6.0)])
 def test_coverage_and_multiplicity_are_those_of_an_exact_overlay(l1, l2):
     own = lattice(rings=2, l1=l1, l2=l2)
-    truth = annuli_coverage(own.focal_plane, own.focal_plane.xy.value)
-    facts = own.facts()
+    truth, facts = annuli_coverage(own.focal_plane, own.focal_plane.xy.value), own.facts()
     assert facts["coverage"] == pytest.approx(1 - truth[0], abs=0.003)
     assert facts["multiplicity"] == pytest.approx(truth @ np.arange(len(truth)), abs=0.006)
     assert facts["max_multiplicity"] == np.flatnonzero(truth > 1e-4).max()

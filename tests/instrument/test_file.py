@@ -6,6 +6,7 @@ from dataclasses import replace
 import astropy.units as u
 import pytest
 from astropy.table import QTable, Table
+from raising import refused
 
 import rfpsurvey as rs
 
@@ -41,11 +42,9 @@ def test_states_margins_and_distortion_maps_are_restored_exactly(tmp_path):
 def test_the_path_is_checked(tmp_path):
     lamost = rs.Instrument.preset("lamost")
     lamost.write(tmp_path / "lamost.ecsv")
-    with pytest.raises(rs.InputError, match="exists"):
-        lamost.write(tmp_path / "lamost.ecsv")
+    refused("exists", lamost.write, tmp_path / "lamost.ecsv")
     lamost.write(tmp_path / "lamost.ecsv", overwrite=True)
-    with pytest.raises(rs.InputError, match=r"must end in \.ecsv"):
-        lamost.write(tmp_path / "lamost.fits")
+    refused(r"must end in \.ecsv", lamost.write, tmp_path / "lamost.fits")
 
 
 def break_entry(table, **changes):
@@ -55,25 +54,23 @@ def break_entry(table, **changes):
     table.meta["instrument"] = json.dumps(about)
 
 
-@pytest.mark.parametrize(
-    ("damage", "message"),
-    [
-        (lambda table: table.meta.pop("instrument"), "the entry instrument of meta must be an object in JSON"),
-        (lambda table: table.meta.update(instrument="{"), "the entry instrument of meta must be an object in JSON"),
-        (lambda table: break_entry(table, plate_scale=None), "must be a valid description of an instrument"),
-        (lambda table: break_entry(table, plate_scale="3 kg"), "plate_scale must have"),
-        (lambda table: break_entry(table, name=None), "must be a valid description of an instrument"),
-        (lambda table: break_entry(table, distortion=3), "must be a valid description of an instrument"),
-        (lambda table: table.meta.pop("positioner"), "must have an entry 'positioner'"),
-        (lambda table: table.remove_column("x"), "'x'"),
-    ],
-)
+OTHER_TABLES = [
+    (lambda table: table.meta.pop("instrument"), "the entry instrument of meta must be an object in JSON"),
+    (lambda table: table.meta.update(instrument="{"), "the entry instrument of meta must be an object in JSON"),
+    (lambda table: break_entry(table, plate_scale=None), "must be a valid description of an instrument"),
+    (lambda table: break_entry(table, plate_scale="3 kg"), "plate_scale must have"),
+    (lambda table: break_entry(table, name=None), "must be a valid description of an instrument"),
+    (lambda table: break_entry(table, distortion=3), "must be a valid description of an instrument"),
+    (lambda table: table.meta.pop("positioner"), "must have an entry 'positioner'"),
+    (lambda table: table.remove_column("x"), "'x'"),
+]
+
+
+@pytest.mark.parametrize(("damage", "message"), OTHER_TABLES)
 def test_other_tables_are_refused_with_a_sentence(damage, message, tmp_path):
     path = tmp_path / "moons.ecsv"
     rs.Instrument.preset("moons").write(path)
     table = QTable.read(path)
     damage(table)
     table.write(path, overwrite=True)
-    with pytest.raises(rs.InputError, match=message) as error:
-        rs.Instrument.read(path)
-    assert str(path) in str(error.value)
+    assert str(path) in refused(message, rs.Instrument.read, path)

@@ -71,23 +71,19 @@ def test_a_tile_is_planned_at_the_time_of_its_conditions(table, catalog, presets
     assert tiles["lamost_rule"].summary["epoch"] == tile.summary["epoch"]
 
 
-@pytest.mark.parametrize(
-    ("options", "epoch", "text"),
-    [
-        (
-            {},
-            2016.0,
-            "at the epoch of the catalog .J2016.000., although .* proper motions of up to 2000 mas / yr$",
-        ),
-        (
-            {"conditions": replace(conditions_at(), time=None, hour_angle=0 * u.deg)},
-            2016.0,
-            "at the epoch of the catalog .J2016.000.",
-        ),
-        ({"epoch": 2020.5}, 2020.5, "^the targets are moved to J2020.500, the requested epoch$"),
-        ({"epoch": 2016, "conditions": conditions_at()}, 2016.0, "requested epoch; they move by up to 20 arcsec until"),
-    ],
-)
+EPOCHS = [
+    ({}, 2016.0, "at the epoch of the catalog .J2016.000., although .* proper motions of up to 2000 mas / yr$"),
+    (
+        {"conditions": replace(conditions_at(), time=None, hour_angle=0 * u.deg)},
+        2016.0,
+        "at the epoch of the catalog .J2016.000.",
+    ),
+    ({"epoch": 2020.5}, 2020.5, "^the targets are moved to J2020.500, the requested epoch$"),
+    ({"epoch": 2016, "conditions": conditions_at()}, 2016.0, "requested epoch; they move by up to 20 arcsec until"),
+]
+
+
+@pytest.mark.parametrize(("options", "epoch", "text"), EPOCHS)
 def test_the_summary_states_the_epoch(table, catalog, presets, options, epoch, text):
     tile = rs.plan_tile(catalog, presets["sdss_apo"], CENTER, **options)
     rows = tile[tile["status"] == "assigned"]

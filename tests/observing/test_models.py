@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey.instrument import choose_projection
@@ -44,8 +45,7 @@ def test_each_model_adds_one_effect(presets):
     }
     assert list(expected) == list(MODELS)
     targets = CENTER.directional_offset_by(np.arange(0, 360, 30) * u.deg, 1.2 * u.deg)
-    vectors = targets.cartesian.xyz.value.T
-    images = {}
+    vectors, images = targets.cartesian.xyz.value.T, {}
     for name, plane_of_model in expected.items():
         field, record = choose_projection(instrument, plane, conditions, name)
         assert record["model"] == name
@@ -70,8 +70,7 @@ def patrol_edges(instrument):
 @pytest.mark.parametrize("name", rs.available_instruments())
 def test_the_largest_displacements_are_those_of_targets_in_patrol_areas(presets, name):
     """Regression: the maxima were taken over the centers of positioners, and were up to 23 % too small."""
-    instrument = presets[name]
-    waves = WAVES if name.startswith("sdss") else 0.54 * u.um
+    instrument, waves = presets[name], WAVES if name.startswith("sdss") else 0.54 * u.um
     conditions = conditions_at(wavelength=waves, guide_wavelength=0.65 * u.um)
     instant = conditions.without_exposure
     result = rs.instrument.compare_projections(instrument, CENTER, conditions)
@@ -224,8 +223,7 @@ def test_targets_that_refraction_brings_into_the_field_are_planned(presets):
     assert 5 * u.deg < plane.altitude - instrument.field_radius < 25 * u.deg
     arrays = instrument.focal_plane.arrays
     distance = np.maximum(np.hypot(*arrays.xy.T), 1.0)
-    outward = arrays.xy * (1 + arrays.outer_radius / distance * (1 - 1e-7))[:, None]
-    coord = plane.to_sky(outward * u.mm)
+    coord = plane.to_sky((arrays.xy * (1 + arrays.outer_radius / distance * (1 - 1e-7))[:, None]) * u.mm)
     apart = coord.separation(CENTER)
     assert (apart > instrument.field_radius).sum() > 10
     tile = rs.plan_tile(rs.Catalog(coord[apart > instrument.field_radius]), instrument, CENTER, conditions=conditions)
@@ -246,18 +244,17 @@ def test_circles_that_no_arm_may_cover_are_seen_under_the_conditions(presets, ca
     assert r > 2.2
 
 
-@pytest.mark.parametrize(
-    ("given", "text"),
-    [
-        ({"projection": "full"}, "the projection 'full' must have conditions, got none"),
-        ({"projection": "best"}, "unknown projection 'best'"),
-        ({"conditions": "apache point"}, "conditions must be ObservingConditions"),
-        ({"conditions": conditions_at(11)}, "must be above the horizon"),
-    ],
-)
+WRONG_PROJECTIONS = [
+    ({"projection": "full"}, "the projection 'full' must have conditions, got none"),
+    ({"projection": "best"}, "unknown projection 'best'"),
+    ({"conditions": "apache point"}, "conditions must be ObservingConditions"),
+    ({"conditions": conditions_at(11)}, "must be above the horizon"),
+]
+
+
+@pytest.mark.parametrize(("given", "text"), WRONG_PROJECTIONS)
 def test_projections_that_are_not_valid_are_errors(presets, catalog, given, text):
-    with pytest.raises(rs.InputError, match=text):
-        rs.plan_tile(catalog, presets["sdss_apo"], CENTER, **given)
+    refused(text, lambda: rs.plan_tile(catalog, presets["sdss_apo"], CENTER, **given))
 
 
 def test_hour_angles_that_are_not_valid_are_errors(presets):
@@ -296,8 +293,7 @@ def test_conditions_are_read_from_a_file(tmp_path):
     assert rs.ObservingConditions.read(path).record == expected.record
     path.write_text('site = [10, 20, 30]\ntime = 2024-05-10T05:00:00\npressure = "0 hPa"')
     read = rs.ObservingConditions.read(path)
-    assert read.time == Time("2024-05-10T05:00:00")
-    assert read.record["latitude_deg"] == pytest.approx(20)
+    assert (read.time, read.record["latitude_deg"]) == (Time("2024-05-10T05:00:00"), pytest.approx(20))
     assert rs.ObservingConditions.read(path, hour_angle=1 * u.deg).time is None
     for text, message in (
         ("sight = 5\n", "unknown key of .* 'sight'.* Did you mean 'site'"),
@@ -306,71 +302,46 @@ def test_conditions_are_read_from_a_file(tmp_path):
         ("site = [1, 2]\n", "site must be longitude, latitude"),
     ):
         path.write_text(text)
-        with pytest.raises(rs.InputError, match=message):
-            rs.ObservingConditions.read(path)
+        refused(message, rs.ObservingConditions.read, path)
+
+
+def settings(**values):
+    """Return the words that set options of the conditions."""
+    return [word for name, value in values.items() for word in ("--set", f"conditions.{name}={value}")]
 
 
 def test_the_command_plans_under_conditions(run, tmp_path):
-    path = tmp_path / "night.toml"
+    path, output = tmp_path / "night.toml", tmp_path / "tile.ecsv"
     path.write_text(TOML)
     common = "plan", "example:anticenter", "--instrument", "sdss_apo", "--center", "95 23", "--epoch", "2026"
-    output = tmp_path / "tile.ecsv"
-    code, out, err = run(*common, "--set", f"conditions.path={path}", "--output", output, "--set", "projection=auto")
-    assert code == 0, err
-    assert "projection: dispersion; refraction and dispersion move targets by up to" in out
+    waves = {"wavelength.BOSS": 0.54, "wavelength.APOGEE": 1.6}
+    for words, text in (
+        ([*settings(path=path), "--output", output, "--set", "projection=auto"], "projection: dispersion; refraction"),
+        (settings(site="-105.82,32.78,2798", hour_angle=3, exposure_time=900, **waves), "projection: full; "),
+        (settings(path=path, time="2026-01-15T05:00:00", wavelength=0.6), "within the tolerance of 20 um"),
+    ):
+        code, out, err = run(*common, *words)
+        assert code == 0, err
+        assert text in out.replace("0.02 mm", "20 um")
     record = rs.Tile.read(output).provenance["parameters"]["conditions"]
     assert record == rs.ObservingConditions.read(path).record
-    options = (
-        "--set",
-        "conditions.hour_angle=3",
-        "--set",
-        "conditions.exposure_time=900",
-        "--set",
-        "conditions.wavelength.BOSS=0.54",
-        "--set",
-        "conditions.wavelength.APOGEE=1.6",
-    )
-    code, out, err = run(*common, "--set", "conditions.site=-105.82,32.78,2798", *options)
-    assert code == 0, err
-    assert "projection: full; " in out
-    code, out, err = run(
-        *common,
-        "--set",
-        f"conditions.path={path}",
-        "--set",
-        "conditions.time=2026-01-15T05:00:00",
-        "--set",
-        "conditions.wavelength=0.6",
-    )
-    assert code == 0, err
-    assert "the cheapest model within the tolerance of 20 um" in out.replace("0.02 mm", "20 um")
+
+
+REFUSED_CONDITIONS = [
+    (settings(hour_angle=3), "conditions.site must be given"),
+    (settings(site="paranal"), "either a time or an hour_angle"),
+    (settings(site="paranal", time="now"), "conditions.time must be a date and time (UTC) such as"),
+    (
+        settings(site="paranal", hour_angle=1, wavelength="BOSS"),
+        "conditions.wavelength must be a number (um) or text with a unit",
+    ),
+    (settings(site="1,2", hour_angle=1), "site must be longitude"),
+    (["--set", "projection=full"], "must have conditions"),
+]
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    ("options", "text"),
-    [
-        (["--set", "conditions.hour_angle=3"], "conditions.site must be given"),
-        (["--set", "conditions.site=paranal"], "either a time or an hour_angle"),
-        (
-            ["--set", "conditions.site=paranal", "--set", "conditions.time=now"],
-            "conditions.time must be a date and time (UTC) such as",
-        ),
-        (
-            [
-                "--set",
-                "conditions.site=paranal",
-                "--set",
-                "conditions.hour_angle=1",
-                "--set",
-                "conditions.wavelength=BOSS",
-            ],
-            "conditions.wavelength must be a number (um) or text with a unit",
-        ),
-        (["--set", "conditions.site=1,2", "--set", "conditions.hour_angle=1"], "site must be longitude"),
-        (["--set", "projection=full"], "must have conditions"),
-    ],
-)
+@pytest.mark.parametrize(("options", "text"), REFUSED_CONDITIONS)
 def test_the_command_refuses_conditions_that_are_not_valid(run, options, text):
     code, _, err = run("plan", "example:anticenter", "--epoch", "2026", *options)
     assert code == 2

@@ -84,8 +84,7 @@ def test_fibers_of_a_file_of_fiberassign_are_read(tmp_path):
 def test_plain_tables_and_tables_of_rfpsurvey_are_read(name, tmp_path):
     path = tmp_path / name
     Table({"id": [1, 2, 3], "target_id": [7, -1, 9], "handedness": ["left", "", "right"]}).write(path)
-    plan = plan_files.read_plan(path, None)
-    assert [tuple(one) for one in plan] == [(1, 7, "left"), (3, 9, "right")]
+    assert [tuple(one) for one in plan_files.read_plan(path, None)] == [(1, 7, "left"), (3, 9, "right")]
     Table({"a": [1]}).write(path, overwrite=True)
     with pytest.raises(ValueError, match="must have the columns positioner and target, got a"):
         plan_files.read_plan(path, None)
@@ -104,23 +103,20 @@ def test_the_recorded_plan_of_a_field_of_sdssv_observes_492_of_its_494_targets(r
     """One target is out of reach of the nominal arms, and one arm is too close to the nominal place of a fiducial."""
     real_data("sdssv_robostrategy_field_a.ecsv")
     scene = scenes.SCENES["field_a"]()
-    plan = Table(rows=scene.settings["recorded"], names=("positioner", "target"))
-    found = judged(scene, plan)
+    found = judged(scene, Table(rows=scene.settings["recorded"], names=("positioner", "target")))
     assert found["assigned"] == 494
     assert found["standard"] + found["sky"] == 492
-    assert found["colliding"] == 1
-    assert found["pairs"] == 0
-    assert found["wrong"] == {"out of reach": 1}
+    assert (found["colliding"], found["pairs"], found["wrong"]) == (1, 0, {"out of reach": 1})
 
 
-@pytest.mark.parametrize(
-    ("name", "assigned", "observed"),
-    [
-        ("sdssv_apo_2021/confSummary-998.par.gz", 298, 297),
-        ("sdssv_apo_2021/confSummaryF-998.par.gz", 298, 298),
-        ("sdssv_apo_2024/confSummary-test.par.gz", 500, 494),
-    ],
-)
+CONFIGURATIONS_SDSSV = [
+    ("sdssv_apo_2021/confSummary-998.par.gz", 298, 297),
+    ("sdssv_apo_2021/confSummaryF-998.par.gz", 298, 298),
+    ("sdssv_apo_2024/confSummary-test.par.gz", 500, 494),
+]
+
+
+@pytest.mark.parametrize(("name", "assigned", "observed"), CONFIGURATIONS_SDSSV)
 def test_configurations_of_sdssv_are_judged(name, assigned, observed, real_data, presets):
     plan = plan_files.read_plan(real_data(name), None)
     found = judged(scene_with_targets(presets["sdss_apo"], plan), plan)
@@ -173,8 +169,7 @@ def test_the_judge_refuses_files_in_one_sentence(presets, tmp_path, monkeypatch,
 def test_idle_arms_can_be_ignored_on_the_command_line(presets, tmp_path, monkeypatch, capsys):
     """A parked arm stands in the way of the arm at a target between them."""
     unit = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm, home=[180, 0] * u.deg)
-    plane = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, unit)
-    targets = Table({"x": [9.0], "y": [0.0]})
+    plane, targets = rs.FocalPlane([[0, 0], [20, 0]] * u.mm, unit), Table({"x": [9.0], "y": [0.0]})
     instrument = rs.Instrument("pair", plane, plate_scale=1 * u.mm / u.arcsec)
     scenes.scene_of(instrument, targets, name="pair").write(tmp_path / "pair.fits")
     Table({"positioner": plane.id[:1], "target": [0]}).write(tmp_path / "plan.ecsv")

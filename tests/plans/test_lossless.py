@@ -8,6 +8,7 @@ from astropy.coordinates import FK5, SkyCoord
 from astropy.io import fits
 from astropy.time import Time
 from numpy.testing import assert_array_equal
+from raising import refused, warned
 
 import rfpsurvey as rs
 import sdssv_files
@@ -33,8 +34,7 @@ def sky(instrument, n=2000, **columns):
 @pytest.mark.parametrize("kind", KINDS)
 def test_priorities_of_a_fiberassign_file_keep_their_order_and_values(desi, tmp_path, kind):
     """Priorities from 0.25 to 1 became 0, 0, 0 and 1; large and missing ones became -2147483648."""
-    tile = rs.plan_tile(sky(desi, priority=KINDS[kind]), desi, CENTER)
-    path = tmp_path / "tile.fits"
+    tile, path = rs.plan_tile(sky(desi, priority=KINDS[kind]), desi, CENTER), tmp_path / "tile.fits"
     if kind == "integers":
         plans.write_plan(tile, path, format="fiberassign")
     else:
@@ -51,8 +51,7 @@ def test_priorities_of_a_fiberassign_file_keep_their_order_and_values(desi, tmp_
     plan = plans.read_plan(path)
     assert_array_equal(plan["priority"][has], given[has])
     if kind != "integers":  # the plan is written without a loss again, and also with priorities that are integers
-        with pytest.warns(rs.RfpsurveyWarning, match="PRIORITY contains ranks"):
-            plans.write_plan(plan, tmp_path / "again.fits", format="fiberassign")
+        warned("PRIORITY contains ranks", plans.write_plan, plan, tmp_path / "again.fits", format="fiberassign")
         assert_array_equal(plans.read_plan(tmp_path / "again.fits")["priority"], plan["priority"])
         plan["priority"] = np.arange(len(plan), dtype=float)
         plans.write_plan(plan, tmp_path / "whole.fits", format="fiberassign")
@@ -79,8 +78,7 @@ def test_values_that_an_integer_column_cannot_represent_are_refused(tmp_path, re
     plan = plans.read_plan(path)
     plan[name] = np.full(len(plan), value)
     new = tmp_path / f"new{'.par' if format_ == 'confsummary' else '.fits'}"
-    with pytest.raises(rs.InputError, match=f"{name}'? .*must be whole numbers from -.*, got"):
-        plans.write_plan(plan, new, format=format_)
+    refused(f"{name}'? .*must be whole numbers from -.*, got", plans.write_plan, plan, new, format=format_)
     assert not new.exists()
 
 
@@ -89,16 +87,14 @@ def test_identifiers_that_are_no_64_bit_integers_are_refused(tmp_path, real_data
     """Large identifiers became other integers, or raised an OverflowError."""
     plan = plans.read_plan(real_data("pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"))
     plan["target_id"] = np.full(len(plan), ids)
-    with pytest.raises(rs.InputError, match="objId' of DESIGN must be whole numbers"):
-        plans.write_plan(plan, tmp_path / "new.fits", format="pfsdesign")
+    refused("objId' of DESIGN must be whole numbers", plans.write_plan, plan, tmp_path / "new.fits", format="pfsdesign")
 
 
 def test_the_code_for_missing_numbers_identifies_no_target(tmp_path):
     pytest.importorskip("pydl", reason="pydl is not installed")
     plan = plans.read_plan(sdssv_files.configuration(tmp_path / "a.par"))
     plan["target_id"] = np.where(plan["assigned"], -999, -1)
-    with pytest.raises(rs.InputError, match="catalogid must differ from -999"):
-        plans.write_plan(plan, tmp_path / "b.par")
+    refused("catalogid must differ from -999", plans.write_plan, plan, tmp_path / "b.par")
 
 
 def test_columns_of_a_tile_are_copied_to_a_design_or_named(tmp_path, presets):
@@ -120,9 +116,7 @@ def test_columns_of_a_tile_are_copied_to_a_design_or_named(tmp_path, presets):
 
 WAVES = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
 PROJECTIONS = {
-    "full": {
-        "conditions": {"hour_angle": 40 * u.deg, "exposure_time": 900 * u.s, "tolerance": 5 * u.um},
-    },
+    "full": {"conditions": {"hour_angle": 40 * u.deg, "exposure_time": 900 * u.s, "tolerance": 5 * u.um}},
     "refraction": {"conditions": {"time": Time("2026-03-01T08:00:00")}, "projection": "refraction"},
     "tangent": {"projection": "tangent"},
 }
@@ -145,8 +139,7 @@ def test_a_plan_of_a_tile_is_scored_from_the_sky_as_it_was_planned(tmp_path, pre
     center = CENTER.transform_to(FK5(equinox="J2026"))
     tile = rs.plan_tile(sky(instrument, 400), instrument, center, position_angle=30 * u.deg, **options)
     plans.write_plan(tile, path, format=form)
-    plan = plans.read_plan(path)
-    planned = tile.provenance["parameters"]
+    plan, planned = plans.read_plan(path), tile.provenance["parameters"]
     assert plan.meta.get("conditions") == planned["conditions"]
     plans.write_plan(plan, tmp_path / f"again-{name}", format=form)
     again = plans.read_plan(tmp_path / f"again-{name}")

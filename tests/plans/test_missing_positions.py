@@ -7,6 +7,7 @@ import pytest
 from astropy.table import QTable
 from numpy.testing import assert_array_equal
 from pfs_files import design, write_design
+from raising import refused
 
 import rfpsurvey as rs
 import sdssv_files
@@ -65,16 +66,13 @@ def test_rows_without_a_position_are_named_or_skipped(tmp_path, run, monkeypatch
     plan = plans.read_plan(name)
     instrument = rs.Instrument.preset("pfs") if model == "pfs" else rs.Instrument.read(model)
     text = rf"of {len(plan)} rows .{where}. have none .{who}.; correct these rows, or use missing=.skip"
-    with pytest.raises(rs.InputError, match=text):
-        rs.score_tile(plan, instrument, positions=positions)
+    refused(text, rs.score_tile, plan, instrument, positions=positions)
     with pytest.warns(rs.RfpsurveyWarning, match=rf"rows .{where}. have no finite position and are skipped .{who}."):
         tile = rs.score_tile(plan, instrument, positions=positions, missing="skip")
     n = 2 if where.startswith("rows") else 1
-    assert tile.summary["n_skipped"] == n
-    assert tile.summary["n_targets"] == plan["assigned"].sum() - n
+    assert (tile.summary["n_skipped"], tile.summary["n_targets"]) == (n, plan["assigned"].sum() - n)
     assert tile.summary["n_rows_ignored"] == (~plan["assigned"]).sum()
-    skipped = [int(number) - 1 for number in where.split(" ", 1)[1].split(", ")]
-    plan["assigned"][skipped] = False
+    plan["assigned"][[int(number) - 1 for number in where.split(" ", 1)[1].split(", ")]] = False
     alone = rs.score_tile(plan, instrument, positions=positions)
     for column in ("id", "status", "target_id", "in_collision", "theta", "ra"):
         assert_array_equal(tile.table[column], alone.table[column])
@@ -91,8 +89,7 @@ def test_skipping_needs_one_row_with_a_position_and_a_known_word(presets):
     plane = presets["lamost"].focal_plane
     table = QTable({"positioner": [0], "x": plane.xy[:1, 0], "y": plane.xy[:1, 1]})
     assert rs.score_tile(table, "lamost", missing="skip").summary["n_skipped"] == 0
-    with pytest.raises(rs.InputError, match="unknown treatment of rows without a position 'drop'"):
-        rs.score_tile(table, "lamost", missing="drop")
+    refused("unknown treatment of rows without a position 'drop'", rs.score_tile, table, "lamost", missing="drop")
     table["x"] = np.nan * u.mm
     with pytest.raises(rs.InputError, match="at least one assigned row must have a finite position, but 1 of"):
         rs.score_tile(table, "lamost", missing="skip")

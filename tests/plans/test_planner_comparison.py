@@ -37,8 +37,7 @@ def small(presets, tmp_path):
     rows = np.sort(np.argsort(np.hypot(*plane.xy.value.T))[:7])
     part = rs.FocalPlane(plane.xy[rows], plane.positioner, id=plane.id[rows])
     instrument = rs.Instrument("small", part, plate_scale=presets["lamost"].plate_scale)
-    targets = scenes.in_circle(instrument, 10, 1)
-    path = tmp_path / "small.fits"
+    targets, path = scenes.in_circle(instrument, 10, 1), tmp_path / "small.fits"
     scenes.scene_of(instrument, targets, name="small").write(path)
     return path
 
@@ -58,12 +57,10 @@ def row(scene, program, science, **changes):
 
 def test_results_have_all_columns_and_each_scene_and_program_once():
     table = results.read(FOLDER / "results.ecsv")
-    assert table.colnames == list(results.COLUMNS)
-    assert set(table["scene"]) == set(scenes.SCENES)
+    assert (table.colnames, set(table["scene"])) == (list(results.COLUMNS), set(scenes.SCENES))
     assert len({(one["scene"], one["program"]) for one in table}) == len(table)
     assert (FOLDER / "results.ecsv").stat().st_size < 30_000
-    classes = [sum(map(int, one["by_class"].split())) for one in table]
-    assert classes == table["science"].tolist()
+    assert [sum(map(int, one["by_class"].split())) for one in table] == table["science"].tolist()
     assert (table["science_without_idle"] >= table["science"]).all()
     for one in table:
         assert all(one[name] for name in ("machine", "date", "limit")), one["program"]
@@ -75,8 +72,7 @@ def test_tables_of_the_page_contain_the_results(tmp_path, monkeypatch):
 
     planner_tables.write_tables(tmp_path)
     page = (ROOT / "docs" / "planners.rst").read_text()
-    every = results.read(FOLDER / "results.ecsv")
-    found = set()
+    every, found = results.read(FOLDER / "results.ecsv"), set()
     for name, titles in planner_tables.TABLES.items():
         assert f":file: api/planners_{name}.csv" in page
         with (tmp_path / f"planners_{name}.csv").open(newline="") as file:
@@ -134,7 +130,7 @@ def test_the_text_of_the_page_agrees_with_the_results():
     recorded = every["field_a", "recorded"]
     assert f"The judge counts {recorded['standard'] + recorded['sky']} of them as observed" in page
     assert {scene for (scene, program), one in every.items() if program == "optimal" and one["gap"] != "0"} == {
-        "desi_tiles",  # no bound of all tiles together
+        "desi_tiles"  # no bound of all tiles together
     }
 
 
@@ -149,15 +145,13 @@ RANGES = {
 def test_the_table_of_packages_states_the_range_of_the_results(name):
     """If results change, the rows of both tables must be written again."""
     lines = (ROOT / name).read_text().splitlines()
-    table = results.read(FOLDER / "results.ecsv")
-    every = {(one["scene"], one["program"]): one for one in table}
+    every = {(one["scene"], one["program"]): one for one in results.read(FOLDER / "results.ecsv")}
     for column, head, tolerance in (
         ("seconds", "Relative planning time", 0.06),
         ("science", "Relative number of", 5e-4),
     ):
         (line,) = [one for one in lines if one.startswith(head)]
-        shown = [float(one) for one in re.findall(r"[\d.]+", line)[1:]]
-        found = []
+        shown, found = [float(one) for one in re.findall(r"[\d.]+", line)[1:]], []
         for program, some in RANGES.items():  # with the same kind of subpriorities, equal or random
             same = [("fiberassign", "optimal random"), ("fiberassign equal", "optimal")]
             pairs = same if program == "fiberassign" else [(program, "optimal")]
@@ -294,8 +288,7 @@ def test_tiles_are_planned_one_after_the_other_without_targets_that_have_a_fiber
         return Table({"positioner": [part.positioners["id"][0]], "target": [part.targets["id"][0]]}), 1.5, {"gap": "0"}
 
     plan, seconds, facts = compare.tile_by_tile(first)(scene, 6.0, label="x")
-    assert plan["target"].tolist() == [0, 1, 2]
-    assert plan["tile"].tolist() == [0, 1, 2]
+    assert (plan["target"].tolist(), plan["tile"].tolist()) == ([0, 1, 2], [0, 1, 2])
     assert (seconds, facts) == (4.5, {})
 
 

@@ -4,14 +4,14 @@ import astropy.units as u
 import numpy as np
 import pytest
 import shapely
+from raising import refused
 
 import rfpsurvey as rs
 
 
 def random_polygon(rng, n: int) -> np.ndarray:
     """Return the vertices of a star-shaped polygon around the origin, most of which is not convex."""
-    angle = np.sort(rng.uniform(0, 2 * np.pi, n))
-    radius = rng.uniform(0.3, 3, n)
+    angle, radius = np.sort(rng.uniform(0, 2 * np.pi, n)), rng.uniform(0.3, 3, n)
     return np.column_stack([radius * np.cos(angle), radius * np.sin(angle)])
 
 
@@ -35,8 +35,7 @@ def test_the_union_of_the_parts_is_the_polygon(seed):
 
 def test_a_convex_polygon_remains_one_part():
     angle = np.arange(12) * np.pi / 6
-    polygon = np.column_stack([np.cos(angle), np.sin(angle)]) * u.cm
-    (part,) = rs.positioner.divide_polygon(polygon)
+    (part,) = rs.positioner.divide_polygon(np.column_stack([np.cos(angle), np.sin(angle)]) * u.cm)
     assert part.unit == u.mm
     assert shapely.Polygon(part.value).area == pytest.approx(300)
 
@@ -52,8 +51,7 @@ def test_a_closed_polygon_with_straight_angles_is_divided():
     [[[0, 0], [1, 1], [1, 0], [0, 1]], [[0, 0], [1, 1]], [[0, 0], [1, 0], [2, 0]], [[0, 0], [1, np.nan], [1, 1]]],
 )
 def test_other_vertices_are_refused(vertices):
-    with pytest.raises(rs.InputError, match="vertices must"):
-        rs.positioner.divide_polygon(vertices * u.mm)
+    refused("vertices must", rs.positioner.divide_polygon, vertices * u.mm)
 
 
 def test_a_mirrored_outline_has_the_opposite_y():

@@ -23,8 +23,7 @@ def dense(plane, *, ring):
     first, second = plane.neighbor_pairs().T
     everyone[first, second] = everyone[second, first] = 1
     design = np.column_stack([np.ones(n), everyone.sum(axis=1)])
-    nearest = apart[apart > 0].min()
-    adjacency = everyone * (apart < 1.1 * nearest) if ring else everyone
+    adjacency = everyone * (apart < 1.1 * apart[apart > 0].min()) if ring else everyone
     return adjacency, everyone - adjacency, np.eye(n) - design @ np.linalg.pinv(design)
 
 
@@ -43,8 +42,7 @@ def test_the_variance_is_unbiased_for_correlated_neighbors_and_a_profile_at_the_
     adjacency, beyond, projection = dense(plane, ring=ring)
     n = len(plane)
     base = np.eye(n) + BEYOND * beyond
-    form = quadratic_form(adjacency, base, projection)
-    covariance = 0.04 * (base + 0.17 * adjacency)
+    form, covariance = quadratic_form(adjacency, base, projection), 0.04 * (base + 0.17 * adjacency)
     assert np.trace(form @ covariance) == pytest.approx(covariance.sum() / n**2, rel=1e-9)
     profile = 0.1 + 0.01 * (adjacency + beyond).sum(axis=1)
     correlated = np.linalg.cholesky(np.eye(n) + 0.1 * adjacency + 5 * np.eye(n))
@@ -96,8 +94,7 @@ def test_intervals_of_one_sky_hold_the_expectation_over_skies(rings, each):
     rng = np.random.default_rng(2)
     question = ProbabilityQuestion(plane, precision=precision, rng=rng)  # each realization is one sky
     found = [summarize([simulation.expect(1, rng)], question) for _ in range(n)]
-    held = sum(f["low"] <= truth <= f["high"] for f in found)
-    assert stats.binom.ppf(1e-3, n, 0.95) <= held
+    assert stats.binom.ppf(1e-3, n, 0.95) <= sum(f["low"] <= truth <= f["high"] for f in found)
     scatter = np.std([f["value"] for f in found])
     # four standard errors: 5 % for the scatter of 400 skewed values, 3 % for the root of the mean variance
     assert np.sqrt(np.mean([f["standard_error"] ** 2 for f in found])) == pytest.approx(scatter, rel=0.25)
@@ -130,8 +127,7 @@ def test_iterations_without_a_collision_say_nothing_of_other_skies():
 
 
 def test_fields_together_have_an_interval_where_a_single_one_has_none(rng):
-    plane = lamost_like(1)
-    fields = [(rng.random(7) < 0.3).astype(float) for _ in range(6)]
+    plane, fields = lamost_like(1), [(rng.random(7) < 0.3).astype(float) for _ in range(6)]
     value, low, high = rate_interval(plane, fields[:1], 0.95)
     assert value == fields[0].mean()
     assert np.isnan([low, high]).all()

@@ -28,8 +28,7 @@ def rare(p, counted):
 
 
 def runs(p, precision, counted, repeats, chunk=64):
-    rngs = np.random.default_rng(4).spawn(repeats)
-    stop = Precision(precision, 10_000_000)
+    rngs, stop = np.random.default_rng(4).spawn(repeats), Precision(precision, 10_000_000)
     return [run(ProbabilityQuestion(PLANE, SKIES, precision=stop, rng=rng), rare(p, counted), chunk) for rng in rngs]
 
 
@@ -50,10 +49,10 @@ def test_a_number_of_rare_events_that_ends_the_iterations_is_no_bias():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("p", [0.005, 0.5, 0.995])
+@pytest.mark.parametrize("p", [0.005, 0.995])
 def test_estimates_have_no_bias_and_intervals_have_their_coverage(p):
     """All counted positioners collide, or none does: the largest scatter for a given probability."""
-    precision, repeats = min(p, 1 - p) / 10, 4000
+    precision, repeats = min(p, 1 - p) / 10, 2000
     found = [summary for _, summary in runs(p, precision, counted=2, repeats=repeats)]
     values = np.array([summary["value"] for summary in found])
     assert abs(values.mean() - p) < precision / 20
@@ -62,7 +61,7 @@ def test_estimates_have_no_bias_and_intervals_have_their_coverage(p):
 
 
 @pytest.mark.few(1)
-@pytest.mark.parametrize("p", [0.003, pytest.param(0.01, marks=pytest.mark.exhaustive), 0.02])
+@pytest.mark.parametrize("p", [0.003, 0.02])
 def test_rare_collisions_are_not_underestimated(p):
     """Regression: a rule based only on the error ended after 128 realizations without a collision, and was 13 to 27 %
     too low.
