@@ -1,14 +1,9 @@
 """Tiles that were dropped: late reports, other tiles at their positions, and tiles that are observed after all."""
 
 import pytest
-from living import events
+from living import events, replan
 
 import rfpsurvey as rs
-
-
-def replan(case, survey):
-    state = survey.state(case[0])
-    return rs.plan_survey(*case, folder=survey.folder, resume=True, visits=state, allocator="nearest")
 
 
 def state_of(case, survey, tile):

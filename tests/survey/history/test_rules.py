@@ -5,13 +5,13 @@ import shutil
 import numpy as np
 import pytest
 from astropy.table import MaskedColumn, QTable
-from living import events, instrument, part, targets, tiling
-from naive_history import NaiveHistory
+from living import events, instrument, targets, tiling
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, VisitRule
 
 LAST = ("none", "good", "bad")
+NAMES = ("target_id", "positioner", "observed")
 
 
 def columns(n=200, seed=0, **others):
@@ -163,22 +163,24 @@ def test_states_after_some_nights(name, tmp_path):
     """After each night, the remaining visits are those of the second implementation, and they are planned."""
     sky, tiny, tiles = targets(2), instrument(), tiling(2)
     options, expected = RULES[name]
-    rule, naive, folder = VisitRule(**options), NaiveHistory(), tmp_path / "survey"
+    rule, folder = VisitRule(**options), tmp_path / "survey"
+    counts = {name: {"made": 0, "failed": 0, "last": "none"} for name in sky.id.tolist()}
     survey = rs.plan_survey(sky, tiny, tiles, folder=folder, allocator="nearest")
     rng = np.random.default_rng(1)
     for night in range(3):
-        date, failed = f"2026-01-0{night + 1}", {}
-        for row in (2 * night, 2 * night + 1):
-            positioners = [str(one) for one in survey.tile(11 + row)["positioner"]]
-            failed[row] = {one for one in positioners if rng.random() < 0.4}
-            naive.observe(str(11 + row), date, "done", part(folder, row), failed[row])
-            names = ["", *failed[row]]
-            survey.record(events(tile=11 + row, date=date, positioner=names))
+        for tile in (11 + 2 * night, 12 + 2 * night):
+            visits, failed = survey.tile(tile), [""]
+            for target, positioner, counted in zip(*(visits[name].tolist() for name in NAMES), strict=True):
+                is_good = rng.random() >= 0.4
+                failed += [] if is_good else [str(positioner)]
+                if counted:
+                    counts[target]["made" if is_good else "failed"] += 1
+                    counts[target]["last"] = "good" if is_good else "bad"
+            survey.record(events(tile=tile, date=f"2026-01-0{night + 1}", positioner=failed))
         state = SurveyState.read(folder, sky, rule=rule)
-        counts, wanted = naive.counts(), dict(zip(sky.id.tolist(), sky.visits.tolist(), strict=True))
+        wanted = dict(zip(sky.id.tolist(), sky.visits.tolist(), strict=True))
         for row in state.table:
-            one = {"made": 0, "failed": 0, "last": "none", "visits": wanted[row["target_id"]]}
-            one |= counts.get(row["target_id"], {})
+            one = counts[row["target_id"]] | {"visits": wanted[row["target_id"]]}
             assert (row["observed"], row["failed"], row["last"]) == (one["made"], one["failed"], one["last"])
             assert row["left"] == max(expected(one) - one["made"], 0)
         survey = rs.plan_survey(sky, tiny, tiles, folder=folder, allocator="nearest", visits=state, resume=True)
