@@ -73,14 +73,11 @@ def test_pairs_are_those_of_brute_force(points, instrument, tiles, tmp_path):
     expected = brute(points, instrument, tiles)
     assert len(expected) > 1000
     table = found.table
-    assert len(table) == len(expected)
-    assert as_set(table) == expected
-    assert [len(one) for one in found][-1] == 0
+    assert (len(table), as_set(table), [len(one) for one in found][-1]) == (len(expected), expected, 0)
     np.testing.assert_array_equal(found.n_tiles(), numbers_of_tiles(expected))
     assert found.write(tmp_path / "pairs.fits") == len(expected)
     written = QTable.read(tmp_path / "pairs.fits")
-    assert written.meta["NPOINTS"] == 3000
-    assert as_set(written) == expected
+    assert (written.meta["NPOINTS"], as_set(written)) == (3000, expected)
     other = rs.selection.potential_assignments(points[:-1], instrument, tiles)
     other.write(tmp_path / "other.fits")
     requests = [read_table(tmp_path / f"{name}.fits").meta["request"] for name in ("pairs", "other")]
@@ -91,8 +88,7 @@ def test_one_pass_and_workers(points, instrument, tiles):
     expected = {row for row in brute(points, instrument, tiles) if row[0] in "ab"}
     with ThreadPoolExecutor(2) as executor:
         found = rs.selection.potential_assignments(points, instrument, tiles, passes=[1], executor=executor)
-        assert as_set(found.table) == expected
-        assert found.n_tiles().max() == 2
+        assert (as_set(found.table), found.n_tiles().max()) == (expected, 2)
     assert repr(found) == "<PotentialAssignments of 3000 points in 2 tiles>"
     assert isinstance(found, PotentialAssignments)
 

@@ -58,8 +58,7 @@ def same(one, other):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     for name in one.realizations.colnames:
         np.testing.assert_array_equal(one.realizations[name], other.realizations[name], err_msg=name)
-    assert one.summary == other.summary
-    assert one.provenance == other.provenance
+    assert (one.summary, one.provenance) == (other.summary, other.provenance)
 
 
 def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
@@ -71,9 +70,7 @@ def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
     held.write(tmp_path / "two.fits")
     assert (tmp_path / "two.fits").read_bytes() == undisturbed["selection.fits"]
     table = QTable.read(tmp_path / "two.fits", hdu=1)
-    assert table.colnames == held.table.colnames
-    assert table["BITWEIGHTS"].dtype.kind == "i"
-    assert table.meta["NREALIZ"] == N
+    assert (table.colnames, table["BITWEIGHTS"].dtype.kind, table.meta["NREALIZ"]) == (held.table.colnames, "i", N)
     for name in table.colnames:
         shown = np.asarray(table[name]).reshape(np.shape(held.table[name]))
         np.testing.assert_array_equal(shown, np.asarray(held.table[name]), err_msg=name)

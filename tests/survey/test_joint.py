@@ -56,8 +56,7 @@ def test_a_joint_plan_makes_more_visits(case, survey):
     levels = survey.summary["joint"]["levels"]
     assert levels[-1]["n_visits_before"] == before.summary["n_visits_observed"]
     assert levels[-1]["n_visits"] == survey.summary["n_visits_observed"] > before.summary["n_visits_observed"]
-    assert [level["priority"] for level in levels] == ["2", "1"]
-    assert survey.summary["n_colliding"] == 0
+    assert ([level["priority"] for level in levels], survey.summary["n_colliding"]) == (["2", "1"], 0)
     table = survey.joint
     assert (np.asarray(table["gap"]) == 1 - table["n_visits"] / table["bound"]).all()
     assert survey.summary["joint"]["gap"] == table["gap"][-2:].max()
@@ -77,8 +76,7 @@ def test_the_plan_does_not_depend_on_the_workers(case, survey, tmp_path, process
         plan(case, executor=executor, folder=tmp_path / "workers")
     assert content(tmp_path / "alone") == content(tmp_path / "workers")
     found = rs.Survey.read(tmp_path / "workers")
-    assert rows_of(found) == rows_of(survey)
-    assert found.summary == survey.summary
+    assert (rows_of(found), found.summary) == (rows_of(survey), survey.summary)
     for name in ("iteration", "priority", "n_visits", "bound", "gap"):
         assert found.joint[name].tolist() == survey.joint[name].tolist()
 
@@ -95,14 +93,11 @@ def test_an_interrupted_search_continues(case, survey, tmp_path):
         plan(case, folder=folder, progress=stop)
     done = []
     found = plan(case, folder=folder, resume=True, progress=lambda k, _: done.append(k))
-    assert rows_of(found) == rows_of(survey)
-    assert found.summary == survey.summary
-    assert len(found.joint) == len(survey.joint)
+    assert (rows_of(found), found.summary, len(found.joint)) == (rows_of(survey), survey.summary, len(survey.joint))
     assert np.isnan(found.joint["seconds"][0])
     assert "seconds" not in rs.Survey.read(folder).joint.colnames
     whole = plan(case, folder=tmp_path / "whole")
-    assert content(folder) == content(tmp_path / "whole")
-    assert whole.summary == found.summary
+    assert (content(folder), whole.summary) == (content(tmp_path / "whole"), found.summary)
 
 
 def test_a_finished_joint_plan_is_read(case, survey, tmp_path, monkeypatch):
@@ -110,8 +105,7 @@ def test_a_finished_joint_plan_is_read(case, survey, tmp_path, monkeypatch):
     before = content(tmp_path / "survey")
     monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
     found = plan(case, folder=tmp_path / "survey", resume=True)
-    assert rows_of(found) == rows_of(survey)
-    assert found.summary == survey.summary
+    assert (rows_of(found), found.summary) == (rows_of(survey), survey.summary)
     assert found.joint.colnames == survey.joint.colnames
     assert np.isnan(found.joint["seconds"]).all()
     assert content(tmp_path / "survey") == before

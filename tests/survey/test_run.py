@@ -76,8 +76,7 @@ def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
     assert content(tmp_path / "survey") == undisturbed
     read = rs.Survey.read(tmp_path / "survey")
     for survey in (written, read):
-        assert survey.summary == held.summary
-        assert survey.provenance == held.provenance
+        assert (survey.summary, survey.provenance) == (held.summary, held.provenance)
         for name in ("tiles", "completeness", "outcomes", "targets"):
             one, other = getattr(survey, name), getattr(held, name)
             assert one.colnames == other.colnames
@@ -302,11 +301,8 @@ def test_a_finished_survey_is_read_without_the_targets_of_its_tiles(case, folder
     first, done, time = rs.Survey.read(folder), [], (folder / PART).stat().st_mtime_ns
     monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
     again = plan(case, folder, resume=True, progress=lambda k, n: done.append((k, n)))
-    assert content(folder) == undisturbed
-    assert again.summary == first.summary
-    assert len(again.targets) == len(first.targets)
-    assert done == [(50, 50)]
-    assert (folder / PART).stat().st_mtime_ns == time
+    assert (content(folder), again.summary, len(again.targets)) == (undisturbed, first.summary, len(first.targets))
+    assert (done, (folder / PART).stat().st_mtime_ns) == ([(50, 50)], time)
 
 
 def test_two_runs_in_one_folder_are_refused(case, tmp_path):

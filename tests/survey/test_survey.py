@@ -150,10 +150,8 @@ def test_standards_and_sky_are_never_used_up(small):
     survey = flat.plan_survey(catalog, small, tiles, requirements=["sky=5", "standard=2"])
     for tile in (0, 1):
         kinds = survey.tile(tile)["kind"].tolist()
-        assert kinds.count("sky") == 5
-        assert kinds.count("standard") == 2
-    assert survey.summary["n_unmet"] == 0
-    assert survey.summary["n_targets"] == 30
+        assert (kinds.count("sky"), kinds.count("standard")) == (5, 2)
+    assert (survey.summary["n_unmet"], survey.summary["n_targets"]) == (0, 30)
     assert not survey.outcomes["observed"][:30].any()
     with pytest.warns(rs.RfpsurveyWarning, match=r"requirement sky=25: \d+ missing in 2 of 2 tiles \(0, 1\)"):
         lacking = flat.plan_survey(catalog, small, tiles, requirements="sky=25")
@@ -162,8 +160,7 @@ def test_standards_and_sky_are_never_used_up(small):
     assert lacking.summary["unmet"] == [f"requirement sky=25: {missing.sum()} missing in 2 of 2 tiles (0, 1)"]
     assert survey.tiles["unmet"].tolist() == ["", ""]
     assert "unmet" not in rs.plan_survey(catalog, small, tiles).tiles.colnames
-    assert lacking.tiles["n_unmet"].tolist() == [1, 1]
-    assert lacking.summary["n_unmet"] == 2
+    assert (lacking.tiles["n_unmet"].tolist(), lacking.summary["n_unmet"]) == ([1, 1], 2)
     codes = survey.outcomes["outcome"][:30]
     assert {rs.Survey.OUTCOMES[k] for k in codes} == {"not requested"}
     assert set(survey.outcome_names[:30].tolist()) == {"not requested"}
@@ -177,8 +174,7 @@ def test_blank_sky_has_its_position(small):
     options = {"requirements": "sky=3", "sky_separation": 30 * u.arcsec}
     visits = flat.plan_survey(catalog, small, CENTER.reshape(1), **options).targets
     sky = visits[visits["kind"] == "sky"]
-    assert len(sky) == 3
-    assert set(sky["target_row"]) == {-1}
+    assert (len(sky), set(sky["target_row"])) == (3, {-1})
     where = SkyCoord(sky["ra"], sky["dec"])
     assert catalog.coord[:, None].separation(where).min() > 30 * u.arcsec
     others = visits[visits["kind"] == "science"]
@@ -241,8 +237,7 @@ def test_nothing_to_plan(sky, small):
     with pytest.raises(rs.InputError, match="at least one tile"):
         rs.plan_survey(sky, small, grid(1.2).table[:0])
     nobody = rs.plan_survey(sky, small, grid(1.2), visits=[0] * len(sky))
-    assert nobody.summary["n_assigned"] == 0
-    assert set(nobody.summary["outcomes"]) == {"not requested"}
+    assert (nobody.summary["n_assigned"], set(nobody.summary["outcomes"])) == (0, {"not requested"})
 
 
 @pytest.mark.filterwarnings("ignore:requirement sky")

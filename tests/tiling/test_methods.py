@@ -63,12 +63,10 @@ def test_fibers_limit_what_a_tile_serves(method):
     if method in ("hexagonal", "spiral"):
         options = {"completeness": 1}
     tiling = rs.place_tiles(sky(radius=0.5, n=250), radius=1 * DEG, fibers=50, method=method, **options)
-    assert tiling.table["n_new"].max() == 50
-    assert tiling.summary["completeness"] == 1
+    assert (tiling.table["n_new"].max(), tiling.summary["completeness"]) == (50, 1)
     if method in GREEDY:
         assert tiling.table["n_new"].tolist() == [50] * 5
-        assert tiling.table["n_targets"].tolist() == [250, 200, 150, 100, 50]
-        assert tiling.summary["fiber_use"] == 1
+        assert (tiling.table["n_targets"].tolist(), tiling.summary["fiber_use"]) == ([250, 200, 150, 100, 50], 1)
 
 
 def test_columns_agree_with_a_replay(method):
@@ -81,8 +79,7 @@ def test_columns_agree_with_a_replay(method):
     if method not in ("hexagonal", "spiral"):  # a covering keeps all of its tiles
         assert (tiling.table["n_new"] > 0).all()
     summary = tiling.summary
-    assert summary["n_tiles"] == len(tiling)
-    assert summary["n_on_tiles"] == tiling.table["n_new"].sum()
+    assert (summary["n_tiles"], summary["n_on_tiles"]) == (len(tiling), tiling.table["n_new"].sum())
     assert summary["n_observed"] == tiling.table["n_new"].sum()
     if method != "network_flow":
         assert summary["completeness"] == 1
@@ -185,8 +182,7 @@ def test_visits_take_as_many_tiles(method):
     assert tiling.summary["n_observed"] == 90
     np.testing.assert_allclose(tiling.table["completeness"], replay(catalog, tiling, 1 * DEG, 3)[:, 2])
     if method in GREEDY:
-        assert tiling.table["n_new"].tolist() == [30] * 3
-        assert tiling.table["pass"].tolist() == [1, 2, 3]
+        assert (tiling.table["n_new"].tolist(), tiling.table["pass"].tolist()) == ([30] * 3, [1, 2, 3])
     wanted = rs.Catalog(catalog.coord, visits=np.repeat([0, 1, 2], 10))
     assert rs.place_tiles(wanted, radius=1 * DEG, fibers=30, method=method, **options).summary["n_requested"] == 30
 
@@ -207,8 +203,7 @@ def test_pairs_too_close_take_two_tiles(method):
     options = {"n_tiles": 2} if method == "network_flow" else {"completeness": 1}
     tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=rs.tiling.Fibers(6, 50 * u.arcsec), method=method, **options)
     # the first and the last of the three targets in a row are observed together
-    assert tiling.table["n_new"][0] == 4
-    assert tiling.summary["n_isolated"] == 1
+    assert (tiling.table["n_new"][0], tiling.summary["n_isolated"]) == (4, 1)
     assert tiling.summary["completeness_isolated"] == 1
     if method in GREEDY:
         assert tiling.table["n_new"].tolist() == [4, 2]
@@ -292,8 +287,8 @@ def test_centers_are_chosen_from_a_list(method, stars):
 @pytest.mark.few(2)
 def test_centers_too_few_are_a_warning(method):
     catalog = sky(n=100, radius=5)
+    options = {"radius": 1 * DEG, "fibers": 100, "method": method}
     with pytest.warns(rs.RfpsurveyWarning, match="tiles reach a completeness of 0.[0-9]+, not 0.9"):
-        options = {"radius": 1 * DEG, "fibers": 100, "method": method}
         tiling = rs.place_tiles(catalog, centers=catalog.coord[:3], completeness=0.9, **options)
     assert len(tiling) >= 1
     expected = np.min([catalog.coord.separation(c).deg for c in catalog.coord[:3]], axis=0) <= 1

@@ -46,23 +46,19 @@ def test_usual_names_are_found():
         table(TILEID=[7, 8, 9], PASS=[0, 1, 1], PA=[0, 30, 0.5] * DEG, AIRMASS=[1.0, 1.1, 1.2])
     )
     assert tiling.table.colnames == ["tile", "ra", "dec", "position_angle", "pass", "AIRMASS"]
-    assert tiling.table["tile"].tolist() == [7, 8, 9]
-    assert tiling.table["pass"].tolist() == [0, 1, 1]
+    assert (tiling.table["tile"].tolist(), tiling.table["pass"].tolist()) == ([7, 8, 9], [0, 1, 1])
     assert tiling.table["position_angle"].to_value(DEG).tolist() == [0, 30, 0.5]
     assert repr(tiling) == "<Tiling of 3 tiles in 2 passes>"
     bare = rs.Tiling.from_table(table())
-    assert bare.table["tile"].tolist() == [0, 1, 2]
-    assert bare.table["pass"].tolist() == [1, 1, 1]
-    assert bare.coord.ra.deg.tolist() == [10, 20, 350]
-    assert bare.summary == {}
+    assert (bare.table["tile"].tolist(), bare.table["pass"].tolist()) == ([0, 1, 2], [1, 1, 1])
+    assert (bare.coord.ra.deg.tolist(), bare.summary) == ([10, 20, 350], {})
 
 
 def test_columns_and_units_can_be_given():
     t = Table({"a": [600.0], "b": [20.0], "who": ["x"], "turn": [90.0], "ra": [1.0]})
     names = {"ra": "a", "dec": "b", "tile": "who", "position_angle": "turn"}
     tiling = rs.Tiling.from_table(t, columns=names, units={"ra": "arcmin", "dec": "deg"})
-    assert tiling.table["ra"][0].to_value(DEG) == pytest.approx(10)
-    assert tiling.table["tile"].tolist() == ["x"]
+    assert (tiling.table["ra"][0].to_value(DEG), tiling.table["tile"].tolist()) == (pytest.approx(10), ["x"])
     assert tiling.table["position_angle"][0] == 90 * DEG
 
 
@@ -96,8 +92,7 @@ def test_tiles_that_are_not_part_of_desi_are_omitted_with_a_warning(kind):
     given = Table({"TILEID": [7, 8, 9], "RA": [10.0, 20.0, 30.0], "DEC": [0.0, 5.0, 10.0], "IN_DESI": is_part})
     with pytest.warns(rs.RfpsurveyWarning, match=r"^1 of 3 tiles \(IN_DESI = 0\) are omitted, because they are not"):
         tiling = rs.Tiling.from_table(given)
-    assert tiling.table["tile"].tolist() == [7, 9]
-    assert tiling.coord.dec.deg.tolist() == [0, 10]
+    assert (tiling.table["tile"].tolist(), tiling.coord.dec.deg.tolist()) == ([7, 9], [0, 10])
     assert tiling.table.meta["omitted"] == "1 of 3 tiles (IN_DESI = 0)"
     all_in = rs.Tiling.from_table(given[::2])  # without a warning, which would fail the test
     assert all_in.table.meta["omitted"] == "0 of 2 tiles (IN_DESI = 0)"
@@ -135,8 +130,7 @@ def test_an_empty_tiling_is_one(tmp_path):
     empty = rs.Tiling.from_table(table()[:0])
     assert len(empty) == 0
     empty.write(tmp_path / "e.fits")
-    assert len(rs.Tiling.read(tmp_path / "e.fits")) == 0
-    assert empty.coverage(1 * DEG, nside=2).tolist() == [0] * 48
+    assert (len(rs.Tiling.read(tmp_path / "e.fits")), empty.coverage(1 * DEG, nside=2).tolist()) == (0, [0] * 48)
 
 
 def test_what_stands_for_a_tiling():
@@ -199,8 +193,7 @@ def test_coverage_agrees_with_brute_force():
 def test_the_tiles_of_desi(real_data):
     """The list of tiles states the area that they cover."""
     tiling = rs.Tiling.read(real_data("desi_tiles_main.ecsv.gz"))
-    assert len(tiling) == 21615
-    assert set(tiling.table["program"]) == {"DARK", "BRIGHT"}
+    assert (len(tiling), set(tiling.table["program"])) == (21615, {"DARK", "BRIGHT"})
     assert set(tiling.table["pass"]) == set(range(7))
     covered = (tiling.coverage(1.6 * DEG, nside=128) > 0).mean() * 4 * np.pi * u.sr
     assert covered.to_value(u.deg**2) == pytest.approx(tiling.table.meta["sky_area_deg2"], abs=0.01)

@@ -71,8 +71,7 @@ def tiles_of(table):
 def test_equal_surveys_have_no_differences(scene, small, tmp_path):
     sky, tiles, survey = scene
     table = diff_surveys(tmp_path / "before", survey)
-    assert len(table) == 0
-    assert table.colnames == ["tile", "positioner", "before", "after", "reason"]
+    assert (len(table), table.colnames) == (0, ["tile", "positioner", "before", "after", "reason"])
     memory = rs.plan_survey(sky, small, tiles, **OPTIONS)
     assert len(diff_surveys(memory, survey)) == 0
 
@@ -97,8 +96,7 @@ def test_observed_tiles_do_not_change_and_failed_visits_are_repeated(again, scen
         {"tile": [0] * 4, "positioner": bad, "date": ["2026-01-03"] * 4},
     )
     table = diff_surveys(first, second)
-    assert tiles_of(table) == {"0": "observed"}
-    assert rows_of(table) == fibers(first, second)
+    assert (tiles_of(table), rows_of(table)) == ({"0": "observed"}, fibers(first, second))
     assert "failed visit" in table["reason"]
     failed = {str(one) for one in survey.tile(0)["target_id"][np.isin(survey.tile(0)["positioner"], bad)].tolist()}
     reasons = table["reason"][np.isin(table["after"], sorted(failed))]

@@ -242,8 +242,7 @@ class Driver:
             total.update(requested=requested, made=made, failed=failed, all=observed)
             total.update(observed=min(observed, requested), complete=0 < requested <= observed, targets=requested > 0)
         found = {name: survey.summary[f"n_visits_{name}"] for name in ("requested", "made", "failed", "observed")}
-        assert found == {name: total[name] for name in found}
-        assert survey.tiles["n_observed"].sum() == total["all"]
+        assert (found, survey.tiles["n_observed"].sum()) == ({name: total[name] for name in found}, total["all"])
         last = survey.completeness[survey.completeness["priority"] == "all"][-1]
         assert [last[f"n_{name}"] for name in PARTS] == [total[name] for name in PARTS]
         assert sum(survey.summary["outcomes"].values()) == len(survey.outcomes)

@@ -136,8 +136,7 @@ def test_priorities_of_a_survey_without_priorities(case, tmp_path):
     refuse(survey, events(target=5, priority=3), "priority must be recorded only for a survey of targets with")
     survey.record(events(target=5, visits=2, category="a"))
     state = survey.state(plain)
-    assert state.left[5] == 2
-    assert state.catalog.category.tolist() == [""] * 5 + ["a"] + [""] * 54
+    assert (state.left[5], state.catalog.category.tolist()) == (2, [""] * 5 + ["a"] + [""] * 54)
 
 
 def test_text_that_files_cannot_contain(case, tmp_path):
@@ -242,12 +241,10 @@ def test_stacked_tables_have_missing_values(survey, case):
     tiles = Table({"tile": [11, 12], "date": ["2026-01-03"] * 2, "good": [True, False], "fraction": [1.0, 0.5]})
     failed = Table({"tile": [11], "date": ["2026-01-03"], "positioner": [1], "reason": ["stuck"]})
     one = vstack([tiles, failed])
-    assert survey.record(one)["n_events"] == 2
-    assert survey.record(one.to_pandas())["n_known"] == 2
+    assert (survey.record(one)["n_events"], survey.record(one.to_pandas())["n_known"]) == (2, 2)
     floats = events(tile=[11, 11], date="2026-01-03", positioner=[np.nan, 1.0])
     floats["reason"] = ["", "stuck"]
-    assert survey.record(floats)["n_known"] == 1
-    assert survey.state(case[0]).summary["n_visits_failed"] == 1
+    assert (survey.record(floats)["n_known"], survey.state(case[0]).summary["n_visits_failed"]) == (1, 1)
 
 
 def test_tables_of_bytes(survey, case):
@@ -355,8 +352,7 @@ def test_changes_are_listed_and_a_dry_run_records_nothing(survey, case):
     }
     before = content(survey.folder)
     for _ in range(2):
-        assert survey.record(table, dry_run=True)["changes"] == changes
-        assert content(survey.folder) == before
+        assert (survey.record(table, dry_run=True)["changes"], content(survey.folder)) == (changes, before)
     assert survey.record(table)["changes"] == changes
     place = {"ra": [120.0] * 3, "dec": [30.0] * 3}
     targets = events(target=[5000, 1001, 1002], state=["added", "dropped", ""], priority=3.0, **place)

@@ -124,8 +124,7 @@ def test_a_part_of_an_old_table_is_known_and_new_statements_are_not(case, survey
     with pytest.warns(rs.RfpsurveyWarning, match="tile 11 on 2026-01-03 was corrected after this record"):
         assert survey.record(DONE)["n_known"] == 1
     assert survey.record(failing("done", "2"))["n_events"] == 1  # no table stated both before
-    assert survey.state(case[0]).summary["n_tiles_observed"] == 1
-    assert failed(survey) == ["1", "2"]
+    assert (survey.state(case[0]).summary["n_tiles_observed"], failed(survey)) == (1, ["1", "2"])
 
 
 def test_old_tables_after_the_survey_was_planned_again_without_dates(case, survey):

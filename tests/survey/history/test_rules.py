@@ -82,8 +82,7 @@ def test_the_first_row_of_a_table_that_selects_a_target(tmp_path):
     table.write(tmp_path / "rule.ecsv")
     for given in (table, tmp_path / "rule.ecsv"):
         visits, priority = VisitRule(table=given).apply(own)
-        assert visits.tolist() == [one[0] for one in expected]
-        assert priority.tolist() == [one[1] for one in expected]
+        assert (visits.tolist(), priority.tolist()) == ([one[0] for one in expected], [one[1] for one in expected])
     reverse = VisitRule(table=table[::-1])
     expected = [naive_table(own, k, ROWS[::-1]) for k in range(200)]
     assert reverse.apply(own)[0].tolist() == [one[0] for one in expected]
@@ -142,8 +141,7 @@ def test_functions_and_entry_points(install):
     code = "import numpy as np\ndef twice(table):\n    return {'visits': 2 * np.ones(len(table))}\n"
     install("nights", code, visit_rules={"twice": "twice"})
     rule = VisitRule(function="twice")
-    assert set(rule.apply(own)[0].tolist()) == {2}
-    assert rule.record == {"function": "twice"}
+    assert (set(rule.apply(own)[0].tolist()), rule.record) == ({2}, {"function": "twice"})
 
 
 RULES = {

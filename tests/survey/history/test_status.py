@@ -109,12 +109,10 @@ def test_progress_is_that_of_the_observed_tiles(survey):
     state = survey.state(sky)
     status = survey_status(survey, state)
     progress = status.meta["progress"]
-    assert progress["date"] == ["2026-01-03", "2026-01-05"]
-    assert progress["n_tiles"] == [1, 3]
+    assert (progress["date"], progress["n_tiles"]) == (["2026-01-03", "2026-01-05"], [1, 3])
     assert progress["n_observed"]["all"][-1] == state.observed.sum() == status["n_observed"][0]
     classes = [values[-1] for name, values in progress["n_observed"].items() if name != "all"]
-    assert sum(classes) == status["n_observed"][0]
-    assert status["n_failed"][0] == state.failed.sum()
+    assert (sum(classes), status["n_failed"][0]) == (status["n_observed"][0], state.failed.sum())
     earlier = survey_status(survey, survey.state(sky, until="2026-01-04"))
     assert earlier["n_observed"][0] == progress["n_observed"]["all"][0]
     assert earlier["n_planned"][0] > status["n_planned"][0]
@@ -127,8 +125,7 @@ def test_added_tiles_and_targets_are_part_of_the_status(survey):
         Table({"target": [10**6], "state": ["added"], "ra": [95.0], "dec": [23.0], "priority": [9], "visits": [2]})
     )
     status = survey_status(survey, survey.state(sky))
-    assert status.meta["tiles"][-1]["pass"] == 3
-    assert status.meta["tiles"][-1]["planned"] == 1
+    assert (status.meta["tiles"][-1]["pass"], status.meta["tiles"][-1]["planned"]) == (3, 1)
     (row,) = status[status["priority"] == "9"]
     assert (row["n_requested"], row["n_not_assigned"]) == (2, 2)
 
