@@ -37,9 +37,9 @@ def test_without_a_rule_nothing_changes():
     assert VisitRule().record == {}
 
 
-@pytest.mark.parametrize("number", [0, 1, 255])
-def test_visits(number):
-    assert set(VisitRule(visits=number).apply(columns())[0].tolist()) == {number}
+def test_visits():
+    for number in (0, 1, 255):
+        assert set(VisitRule(visits=number).apply(columns())[0].tolist()) == {number}
 
 
 def test_after_success_and_retries():
@@ -104,27 +104,27 @@ def test_tables_with_numbers_as_classes_and_missing_values():
     assert priority.tolist() == np.where(own["observed"] == 0, 4.0, 0.0).tolist()
 
 
-@pytest.mark.parametrize(
-    ("table", "sentence"),
-    [
-        ({"observed": [1]}, "must have the column visits or priority"),
-        ({"visits": [1], "color": [1]}, "must have the column visits or priority, and may have the columns class"),
-        ({"visits": [1.5]}, "visits must be whole numbers from 0 to 255, got 1.5"),
-        ({"visits": ["x"]}, "visits"),
-        (
-            {"visits": [1], "observed": [1.5]},
-            "observed of a visit rule must be whole numbers from 0 to 255",
-        ),
-        ({"visits": [1], "observed": [-2]}, "observed of a visit rule must be whole numbers from 0 to 255"),
-        ({"visits": [1], "observed": ["x"]}, "observed"),
-        ({"priority": [np.inf]}, "priority of a visit rule must be finite, got inf"),
-        ({"priority": ["x"]}, "priority"),
-        ({"visits": [1], "last": ["best"]}, "unknown last result of a visit rule 'best'"),
-    ],
+WHOLE = "must be whole numbers from 0 to 255"
+WRONG = (
+    ({"observed": [1]}, "must have the column visits or priority"),
+    ({"visits": [1], "color": [1]}, "must have the column visits or priority, and may have the columns class"),
+    ({"visits": [1.5]}, f"visits {WHOLE}, got 1.5"),
+    ({"visits": ["x"]}, "visits"),
+    *(
+        ({"visits": [1], "observed": [n]}, "observed of a visit rule must be whole numbers from 0 to 255")
+        for n in (1.5, -2)
+    ),
+    ({"visits": [1], "observed": ["x"]}, "observed"),
+    ({"priority": [np.inf]}, "priority of a visit rule must be finite, got inf"),
+    ({"priority": ["x"]}, "priority"),
+    ({"visits": [1], "last": ["best"]}, "unknown last result of a visit rule 'best'"),
 )
-def test_wrong_tables(table, sentence):
-    with pytest.raises(rs.InputError, match=sentence):
-        VisitRule(table=QTable(table))
+
+
+def test_wrong_tables():
+    for table, sentence in WRONG:
+        with pytest.raises(rs.InputError, match=sentence):
+            VisitRule(table=QTable(table))
 
 
 def by_hand(table):
