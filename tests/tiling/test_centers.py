@@ -129,9 +129,9 @@ BAD = {
     "from -90 to 90 deg, got -91 and 10 deg": {"declination": (-91, 10) * DEG},
     "from -90 to 90 deg, got nan": {"declination": (np.nan, 10) * DEG},
     "position_angle must be a Quantity": {"position_angle": 5},
-    "there is no column for ra and dec": {"centers": Table({"x": [1]})},
+    "there is no column for ra and dec": {"coord": Table({"x": [1]})},
     "at least one finite direction inside the limits of declination": {
-        "centers": SkyCoord(1 * DEG, 50 * DEG),
+        "coord": SkyCoord(1 * DEG, 50 * DEG),
         "declination": (0, 10) * DEG,
     },
 }
