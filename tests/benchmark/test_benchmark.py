@@ -10,6 +10,7 @@ from rfpsurvey.benchmark import _collisions as benchmark
 from rfpsurvey.benchmark import random_tips
 from scenes import sdss_like
 
+METHOD = QTable({"method": ["exact"]})
 METHODS_HERE = ["exact", "sampled", "sweep", "scipy", "every_pair", "endpoints", "shapely"]
 
 
@@ -62,8 +63,7 @@ def test_the_truth_comes_from_rational_arithmetic(monkeypatch):
     )
     monkeypatch.setitem(benchmark.COMPARED, "exact", broken)
     table = rs.benchmark.benchmark_collisions(sdss_like(3), methods=["exact", "scipy"], repeats=1)
-    assert rows(table, "exact")["misclassified"] == [1]
-    assert rows(table, "scipy")["misclassified"] == [0]
+    assert (rows(table, "exact")["misclassified"], rows(table, "scipy")["misclassified"]) == ([1], [0])
 
 
 def test_a_comparison_that_is_not_installed_is_named(monkeypatch):
@@ -76,15 +76,13 @@ def test_a_comparison_that_is_not_installed_is_named(monkeypatch):
 def test_a_table_survives_the_round_trip(table, tmp_path):
     table.write(tmp_path / "t.ecsv")
     again = QTable.read(tmp_path / "t.ecsv")
-    assert again["n_points"].mask.tolist() == table["n_points"].mask.tolist()
-    assert again["max_error"].unit == u.mm
+    assert (again["n_points"].mask.tolist(), again["max_error"].unit) == (table["n_points"].mask.tolist(), u.mm)
     assert again.meta["min_separation_mm"] == pytest.approx(5.0781907)
 
 
 def test_batches(monkeypatch):
     table = rs.benchmark.benchmark_batches(sdss_like(2), sizes=[1, 30], workers=[1, 2], repeats=2)
-    assert table["workers"].tolist() == [1, 2, 1, 2]
-    assert table["size"].tolist() == [1, 1, 30, 30]
+    assert (table["workers"].tolist(), table["size"].tolist()) == ([1, 2, 1, 2], [1, 1, 30, 30])
     np.testing.assert_allclose((table["rate"] * table["time"]).to_value(u.one), table["size"])
 
 
@@ -95,58 +93,6 @@ def test_joint_limits_are_kept(rng):
     assert np.isfinite(tips).all()
     assert (np.hypot(*(tips - plane.arrays.xy).T) < 2 * 8.25 * np.cos(np.deg2rad(30)) + 1e-9).all()
     assert len(rs.benchmark.benchmark_batches(plane, sizes=[1], workers=[1], repeats=1)) == 1
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (
-            lambda: rs.benchmark.benchmark_collisions("lamost", seconds=-1),
-            "seconds must be a number of at least 0, got -1",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_collisions(3),
-            "instrument must be a name, an Instrument or a FocalPlane, got int",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_collisions("lamost", methods="exact"),
-            "methods must be a list of names, got 'exact'",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_batches("lamost", sizes=[]),
-            r"sizes must be a list of whole numbers, got \[\]",
-        ),
-        (lambda: rs.benchmark.benchmark_batches("lamost", workers=2), "workers must be a list of whole numbers, got 2"),
-        (lambda: rs.plot.plot_speed_accuracy(None), "table must be a QTable, got NoneType"),
-        (
-            lambda: rs.benchmark.benchmark_collisions("lamost", methods=["guess"]),
-            "unknown method 'guess'; choose one of: ",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_collisions("lamost", repeats=0),
-            "repeats must be a whole number of at least 1, got 0",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_collisions("lamost", n_configurations=1.5),
-            "n_configurations must be a whole number",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_batches("lamost", sizes=[1, 0]),
-            r"sizes\[1\] must be a whole number of at least 1",
-        ),
-        (
-            lambda: rs.benchmark.benchmark_batches("lamost", workers=[0]),
-            r"workers\[0\] must be a whole number of at least 1",
-        ),
-        (
-            lambda: rs.plot.plot_speed_accuracy(QTable({"method": ["exact"]})),
-            "without the column max_error, misclassified, n_colliding_true",
-        ),
-    ],
-)
-def test_bad_input_is_named(call, message):
-    with pytest.raises(rs.InputError, match=message):
-        call()
 
 
 def test_probabilities_are_compared_within_one_question():
@@ -169,26 +115,30 @@ def test_densities_that_stand_in_for_queues():
     assert table["value"][3] < table["value"][1]  # arms that stay in their own cells collide less
 
 
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda: rs.benchmark.benchmark_probability("lamost", efforts=["quadrature"]), "efforts must map methods"),
-        (
-            lambda: rs.benchmark.benchmark_probability("lamost", efforts={"guess": [1]}),
-            "unknown method of collision probability",
-        ),
-        (lambda: rs.benchmark.benchmark_probability("lamost", repeats=0), "repeats must be a whole number"),
-        (lambda: rs.benchmark.benchmark_densities("lamost", n_allocations=0), "n_allocations must be a whole number"),
-        (lambda: rs.plot.plot_probability_accuracy(3), "table must be a QTable"),
-        (
-            lambda: rs.plot.plot_probability_accuracy(QTable({"method": ["a"]})),
-            "without the column effort, error, error_error, estimand",
-        ),
-    ],
-)
-def test_bad_input_of_probabilities_is_named(call, message):
-    with pytest.raises(rs.InputError, match=message):
-        call()
+def test_bad_input_is_named():
+    b, plot = rs.benchmark, rs.plot
+    for message, function, given, options in (
+        ("seconds must be a number of at least 0, got -1", b.benchmark_collisions, "lamost", {"seconds": -1}),
+        ("instrument must be a name, an Instrument or a FocalPlane, got int", b.benchmark_collisions, 3, {}),
+        ("methods must be a list of names, got 'exact'", b.benchmark_collisions, "lamost", {"methods": "exact"}),
+        (r"sizes must be a list of whole numbers, got \[\]", b.benchmark_batches, "lamost", {"sizes": []}),
+        ("workers must be a list of whole numbers, got 2", b.benchmark_batches, "lamost", {"workers": 2}),
+        ("unknown method 'guess'; choose one of: ", b.benchmark_collisions, "lamost", {"methods": ["guess"]}),
+        ("repeats must be a whole number of at least 1, got 0", b.benchmark_collisions, "lamost", {"repeats": 0}),
+        ("n_configurations must be a whole number", b.benchmark_collisions, "lamost", {"n_configurations": 1.5}),
+        (r"sizes\[1\] must be a whole number of at least 1", b.benchmark_batches, "lamost", {"sizes": [1, 0]}),
+        (r"workers\[0\] must be a whole number of at least 1", b.benchmark_batches, "lamost", {"workers": [0]}),
+        ("efforts must map methods", b.benchmark_probability, "lamost", {"efforts": ["quadrature"]}),
+        ("unknown method of collision probability", b.benchmark_probability, "lamost", {"efforts": {"guess": [1]}}),
+        ("repeats must be a whole number", b.benchmark_probability, "lamost", {"repeats": 0}),
+        ("n_allocations must be a whole number", b.benchmark_densities, "lamost", {"n_allocations": 0}),
+        ("table must be a QTable, got NoneType", plot.plot_speed_accuracy, None, {}),
+        ("without the column max_error, misclassified, n_colliding_true", plot.plot_speed_accuracy, METHOD, {}),
+        ("table must be a QTable", plot.plot_probability_accuracy, 3, {}),
+        ("without the column effort, error, error_error, estimand", plot.plot_probability_accuracy, METHOD, {}),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            function(given, **options)
 
 
 def test_the_benchmark_of_collisions_refuses_outlines(presets):

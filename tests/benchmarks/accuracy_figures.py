@@ -5,18 +5,14 @@ Random targets are uniform in the patrol areas. SDSS-V is the geometry of Chen e
 
 import astropy.units as u
 import numpy as np
+from measure import hexagon
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import collisions
 from rfpsurvey.benchmark import random_tips
 from rfpsurvey.collision import place_arms
 
-GEOMETRIES = {"LAMOST": (8.25, 8.25, 2.25, 0.0, 25.6), "SDSS-V": (7.4, 15.0, 2.5, 0.1, 22.4)}
-
-
-def make_plane(l1, l2, clearance, step, pitch):
-    unit = rs.Positioner(l1 * u.mm, l2 * u.mm, clearance * u.mm, step=step * u.deg)
-    return rs.FocalPlane.hexagonal(unit, rings=36, pitch=pitch * u.mm)
+GEOMETRIES = {"LAMOST": (8.25, 8.25, 2.25, 25.6, 36), "SDSS-V": (7.4, 15.0, 2.5, 22.4, 36, 0.1)}
 
 
 def kept(plane, rng):
@@ -60,7 +56,7 @@ def moved_by_single_precision(plane, rng):
 if __name__ == "__main__":
     rng = np.random.default_rng(1)
     for name, geometry in GEOMETRIES.items():
-        plane = make_plane(*geometry)
+        plane = hexagon(*geometry)
         middles, axes, colliding = np.mean([kept(plane, rng) for _ in range(20)], axis=0)
         print(f"{name}: neighbors let through by middles {middles:.3f}, by axes {axes:.3f}; colliding {colliding:.3f}")
         row = rs.benchmark.benchmark_collisions(

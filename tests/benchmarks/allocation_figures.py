@@ -12,6 +12,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import hexagon, in_circle
 from scipy.sparse.csgraph import maximum_bipartite_matching
 
 import rfpsurvey as rs
@@ -33,10 +34,7 @@ SKY = ["sky=20/spectrograph", "standard=5/spectrograph"]
 
 
 def disc(radius, n, seed):
-    """Return points (mm) that are uniform in a disc."""
-    rng = np.random.default_rng(seed)
-    r, angle = radius * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
-    return np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+    return in_circle(np.random.default_rng(seed), radius, n)
 
 
 def median(call, *arguments, repeats=REPEATS, **options):
@@ -52,8 +50,7 @@ def median(call, *arguments, repeats=REPEATS, **options):
 def hexagons():
     print("full hexagons, one elbow, all targets alike; seeds 0 to 4")
     for name, (rings, pitch, l1, l2, separation, n) in HEXAGONS.items():
-        unit = rs.Positioner(l1 * u.mm, l2 * u.mm, separation / 2 * u.mm)
-        plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
+        plane = hexagon(l1, l2, separation / 2, pitch, rings)
         floor(plane, disc(0.95 * (rings + 0.5) * pitch, n, 0))
         for seed in range(5):
             xy = disc(0.95 * (rings + 0.5) * pitch, n, seed)
@@ -100,8 +97,7 @@ def rules():
         seconds, found = median(flat.allocate, plane, xy, allocator=name, repeats=3, **options)
         print(f"  {name:<10} {seconds:.3f} s with sky and standards, gap {found.gap:g}")
     for n in (50_000, 100_000):
-        robot = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5391 * u.mm)
-        plane = rs.FocalPlane.hexagonal(robot, rings=36, pitch=22.4 * u.mm)
+        plane = hexagon(7.4, 15, 2.5391, 22.4, 36)
         seconds, found = median(flat.allocate, plane, disc(776.0, n, 0), allocator="optimal", repeats=1)
         print(f"  optimal, {n} targets over 3997 SDSS-V arms {seconds:.1f} s, gap {found.gap:g}")
 

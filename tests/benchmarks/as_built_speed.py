@@ -6,12 +6,13 @@ row is the median of alternating repeats, in milliseconds of processor time, and
 
 import sys
 import tempfile
+from functools import partial
 from pathlib import Path
-from time import process_time
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import alternated
 
 import rfpsurvey as rs
 from rfpsurvey.probability import Precision
@@ -40,11 +41,12 @@ def work(instrument):
     tiles = sky.coord[:20]
     xy = instrument.projection(CENTER).to_focal_plane(catalog)
 
+    precision = {"precision": Precision(standard_error=0.0005), "rng": 1, "progress": False}
+
     def survey():
         with tempfile.TemporaryDirectory() as folder:
-            rs.plan_survey(
-                sky, instrument, tiles, allocator="lamost_rule", folder=Path(folder) / "survey", progress=False
-            )
+            options = {"allocator": "lamost_rule", "folder": Path(folder) / "survey", "progress": False}
+            rs.plan_survey(sky, instrument, tiles, **options)
 
     return {
         "find_collisions": lambda: rs.find_collisions(plane, tips),
@@ -52,12 +54,10 @@ def work(instrument):
         "plan_tile, lamost": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="lamost_rule"),
         "plan_tile, optimal": lambda: rs.plan_tile(catalog, instrument, CENTER, allocator="optimal"),
         "survey of 20 tiles": survey,
-        "probability, conditional": lambda: rs.collision_probability(
-            plane, method="conditional", precision=Precision(standard_error=0.0005), rng=1, progress=False
-        ),
-        "probability, quadrature": lambda: rs.collision_probability(
-            plane, method="quadrature", precision=Precision(standard_error=0.0005), rng=1, progress=False
-        ),
+        **{
+            f"probability, {name}": partial(rs.collision_probability, plane, method=name, **precision)
+            for name in ("conditional", "quadrature")
+        },
     }
 
 
@@ -67,15 +67,7 @@ def main(folder):
     for title, (name, path) in PAIRS.items():
         both = work(rs.Instrument.preset(name)), work(rs.Instrument.read(folder / path))
         for what in both[0]:
-            seconds = []
-            for _ in range(REPEATS + 1):
-                row = []
-                for calls in both:
-                    begin = process_time()
-                    calls[what]()
-                    row.append(process_time() - begin)
-                seconds.append(row)
-            seconds = np.array(seconds[1:])  # the first repeat compiles kernels and fills caches
+            seconds = alternated([calls[what] for calls in both], REPEATS)
             nominal, built = 1000 * np.median(seconds, axis=0)
             print(f"{title:10} {what:26} {nominal:9.2f} {built:9.2f} {np.median(seconds[:, 1] / seconds[:, 0]):6.2f}")
 

@@ -9,18 +9,16 @@ variance of the collision rate of a realization; its uncertainty is a standard e
 called alternately.
 """
 
-import argparse
 from time import perf_counter
 
 import numpy as np
+from measure import arguments
 
 import rfpsurvey as rs
 from rfpsurvey.probability import Precision, RandomTargets
 
 PRESETS = ("sdss_apo", "moons", "desi", "lamost")
-EACH = (1, 1.5, 2, 2.5, 3, 4, 6)
-MANY = (40,)
-ENTRIES = (8, 12, 16, 24, 32)
+EACH, MANY, ENTRIES = [1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 6.0], [40.0], [8, 12, 16, 24, 32]
 LARGE, N_DRAWN, N_AVERAGED = 2000, (256, 64), (32, 8)
 """Number of positioners of a large plane, and numbers of realizations of one call for small and for large planes."""
 
@@ -55,16 +53,10 @@ def ratios(instrument, number, settings, repeats, precision):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("presets", nargs="*", default=PRESETS)
-    parser.add_argument("--each", type=float, nargs="*", default=EACH, help="targets per positioner")
-    parser.add_argument("--many", type=float, nargs="*", default=MANY, help="the same, with most_entries")
-    parser.add_argument("--entries", type=int, nargs="*", default=ENTRIES, help="values of most_entries")
-    parser.add_argument("--repeats", type=int, default=15)
-    parser.add_argument("--precision", type=float, default=1e-3)
-    given = parser.parse_args()
+    many = {"each": EACH, "many": MANY, "entries": ENTRIES}
+    given = arguments(__doc__, PRESETS, **many, repeats=15, precision=1e-3)
     averaged, drawn = {"method": "conditional"}, {"method": "monte_carlo"}
-    for name in given.presets:
+    for name in given.words:
         instrument = rs.Instrument.preset(name)
         n = len(instrument.focal_plane)
         print(f"{name}: {n} positioners", flush=True)

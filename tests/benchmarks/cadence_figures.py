@@ -7,7 +7,6 @@ comparison, random subpriorities decide. The bound is the number of targets whos
 of the tiles allow, if every target in the field could be observed on every tile. The joint plan has bounds of its own.
 """
 
-import argparse
 import os
 from pathlib import Path
 from time import process_time
@@ -16,6 +15,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from measure import arguments
 
 import rfpsurvey as rs
 from rfpsurvey.survey import Cadences
@@ -46,11 +46,7 @@ def bound(cadences, row, tiling):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--targets", type=int, default=1500)
-    parser.add_argument("--tiles", type=int, default=30)
-    parser.add_argument("--iterations", type=int, default=10)
-    options = parser.parse_args()
+    options = arguments(__doc__, targets=1500, tiles=30, iterations=10)
     table = Table.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "sdssv_rules/cadences.ecsv")
     table = table[table["n_epochs"] > 0]
     rng, apo = np.random.default_rng(1), rs.Instrument.preset("sdss_apo")

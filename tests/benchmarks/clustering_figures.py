@@ -4,12 +4,12 @@ Run ``python tests/benchmarks/clustering_figures.py``, which takes about ten min
 ``--passes N N`` change the number of mocks and of passes.
 """
 
-import argparse
 import sys
 from pathlib import Path
 from time import perf_counter
 
 import numpy as np
+from measure import arguments
 
 import rfpsurvey as rs
 
@@ -18,10 +18,7 @@ import clustering
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--mocks", type=int, default=10)
-    parser.add_argument("--passes", type=int, nargs="*", default=[1, 2, 3, 5])
-    given = parser.parse_args()
+    given = arguments(__doc__, mocks=10, passes=[1, 2, 3, 5])
     theta = np.sqrt(clustering.EDGES[1:] * clustering.EDGES[:-1])
     xy = np.random.default_rng(10**6).uniform(-clustering.HALF, clustering.HALF, (20_000, 2))
     random = rs.Catalog(clustering.to_sky(xy))

@@ -4,49 +4,34 @@ Run ``python tests/benchmarks/crowded_figures.py``, which takes some minutes on 
 NAME`` runs one part.
 """
 
-import argparse
-import resource
 import subprocess
 import sys
 import tempfile
+from itertools import product
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import arguments, in_circle, peak_gb, timed
 
 import rfpsurvey as rs
 from rfpsurvey.survey._order import make_rounds
 
 CENTER = SkyCoord("06h20m00s +23d00m00s")
 FIELDS = [
-    ("lamost", "lamost_rule", 2e6),
-    ("lamost", "lamost_rule", 2e7),
-    ("lamost", "repair", 2e6),
-    ("lamost", "repair", 2e7),
+    *(("lamost", name, n) for name, n in product(("lamost_rule", "repair"), (2e6, 2e7))),
     ("lamost", "optimal", 2e7),
-    ("sdss_apo", "optimal", 2e4),
-    ("sdss_apo", "optimal", 1e5),
-    ("sdss_apo", "optimal", 3e5),
-    ("sdss_apo", "optimal", 2e6),
-    ("sdss_apo", "repair", 2e6),
-    ("sdss_apo", "network_flow", 2e6),
+    *(("sdss_apo", "optimal", n) for n in (2e4, 1e5, 3e5, 2e6)),
+    *(("sdss_apo", name, 2e6) for name in ("repair", "network_flow")),
 ]
-
-
-def peak_gb():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def field(name, method, n):
     """Measure the planning of a tile, from the catalog in memory to the table."""
     model = rs.Instrument.preset(name)
-    rs.plan_tile(
-        rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1),
-        model,
-        CENTER,
-        allocator=method,
-    )
+    few = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=4000, rng=1)
+    rs.plan_tile(few, model, CENTER, allocator=method)
     rng = np.random.default_rng(3)
     z = 1 - rng.random(n) * (1 - np.cos(model.field_radius.to_value(u.rad)))
     catalog = rs.Catalog(CENTER.directional_offset_by(2 * np.pi * rng.random(n) * u.rad, np.arccos(z) * u.rad))
@@ -64,11 +49,9 @@ def dense():
     for rings, each in ((5, 1), (5, 4), (6, 1), (6, 2), (7, 1), (7, 2)):
         plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=5 * u.mm)
         rng, n = np.random.default_rng(rings), each * len(plane)
-        r, angle = (5 * rings + 10) * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
-        xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
-        begin = perf_counter()
-        plan = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=5 * u.s))
-        seconds = perf_counter() - begin
+        options = rs.AllocationOptions("optimal", time_limit=5 * u.s)
+        xy = in_circle(rng, 5 * rings + 10, n)
+        plan, seconds = timed(rs.allocate, plane, xy, allocator=options, clock=perf_counter)
         print(
             f"dense {len(plane):>4} positioners {n:>4} targets {seconds:6.1f} s {plan.n_assigned:>3} of {plan.bound:g}"
         )
@@ -110,16 +93,13 @@ def digest(n=5_000_000):
 PARTS = {"dense": dense, "tiles": tiles, "digest": digest}
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--only", choices=["fields", *PARTS])
-    parser.add_argument("--field", nargs=3, metavar=("PRESET", "METHOD", "N"), help="one field, in this process")
-    given = parser.parse_args()
-    if given.field:
+    given = arguments(__doc__, only="", field=["", "", ""])
+    if any(given.field):
         field(given.field[0], given.field[1], int(float(given.field[2])))
         sys.exit()
     # run each part in a separate process, to measure its memory
-    for one in FIELDS if given.only in (None, "fields") else ():
+    for one in FIELDS if given.only in ("", "fields") else ():
         subprocess.run([sys.executable, __file__, "--field", *map(str, one)], check=True)
     for name, part in PARTS.items():
-        if given.only in (None, name):
+        if given.only in ("", name):
             part()

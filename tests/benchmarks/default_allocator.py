@@ -10,29 +10,26 @@ processor times without compilation; those of the first command are medians of a
 """
 
 import argparse
-import os
-from pathlib import Path
 from time import process_time
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
+from selection_figures import MIDDLE, all_tiles, some_tiles
 
 import rfpsurvey as rs
 from sky_center import CENTER
 
 ALLOCATORS = ("lamost_rule", "repair", "optimal")
 EACH = (0.5, 1, 2, 5, 10, 20, 50)
-MIDDLE, DENSITY = SkyCoord(180 * u.deg, 20 * u.deg), 1400 / u.deg**2
+DENSITY = 1400 / u.deg**2
 REPEATS = 3
 
 
 def one_tile(name, each, options):
     """Return the median processor time (ms) and the number of usable fibers of each allocator."""
     model = rs.Instrument.preset(name)
-    sky = rs.synthetic_catalog(
-        "uniform", CENTER, model.field_radius, n_targets=round(each * len(model.focal_plane)), rng=1
-    )
+    n = round(each * len(model.focal_plane))
+    sky = rs.synthetic_catalog("uniform", CENTER, model.field_radius, n_targets=n, rng=1)
     times, usable = [[] for _ in options], [0] * len(options)
     for _ in range(REPEATS):
         for k, option in enumerate(options):
@@ -59,10 +56,8 @@ def tiles(options):
 
 def survey(n_tiles, n_realizations, options):
     """Print the time and the observed visits of a part of DESI's main survey."""
-    tiling = rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
-    tiling = rs.Tiling(tiling.table[tiling.table["program"] == "DARK"])
-    near = np.sort(np.argsort(tiling.coord.separation(MIDDLE), kind="stable")[:n_tiles])
-    tiling = rs.Tiling(tiling.table[near])
+    tiling = all_tiles()
+    tiling = some_tiles(rs.Tiling(tiling.table[tiling.table["program"] == "DARK"]), n_tiles)
     radius = tiling.coord.separation(MIDDLE).max() + 1.6 * u.deg
     sky = rs.synthetic_catalog("poisson", MIDDLE, radius, density=DENSITY, rng=1)
     sky = rs.Catalog(sky.coord, id=np.arange(len(sky)), visits=np.random.default_rng(1).integers(1, 5, len(sky)))

@@ -4,7 +4,6 @@ Run ``python tests/benchmarks/design_figures.py``, which takes half an hour on t
 tenth of this time.
 """
 
-import argparse
 import sys
 import warnings
 from concurrent.futures import ProcessPoolExecutor
@@ -15,6 +14,7 @@ from unittest import mock
 
 import astropy.units as u
 import numpy as np
+from measure import arguments
 
 import rfpsurvey as rs
 from rfpsurvey.design import _losses
@@ -135,10 +135,7 @@ def edges():
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--designs", type=int, default=4000)
-    parser.add_argument("--workers", type=int, default=2)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, designs=4000, workers=2)
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
     coverage_errors()
     surrogate_errors(max(asked.designs // 10, 40))

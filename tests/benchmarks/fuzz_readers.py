@@ -24,6 +24,7 @@ from pathlib import Path
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+
 from damaged_files import FINE, damage, outcome
 from valid_files import samples
 from valid_inputs import inputs

@@ -8,10 +8,7 @@ comparison, the script prints the exponent of n log n over the same sizes. The m
 arrays during the call (tracemalloc). docs/figures/growth.py plots the printed numbers.
 """
 
-import argparse
 import gc
-import os
-import platform
 import tracemalloc
 import warnings
 from time import perf_counter
@@ -19,6 +16,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import arguments, machine
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
@@ -167,13 +165,11 @@ def slope(x, y):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("names", nargs="*")
-    options = parser.parse_args()
+    options = arguments(__doc__, [""])
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, one thread")
+    print(f"{machine()}, one thread")
     for name, (make, sizes) in CASES.items():
-        if options.names and not any(word in name for word in options.names):
+        if not any(word in name for word in options.words):
             continue
         make(sizes[0])[1]()  # compile
         n, seconds, memory = [], [], []

@@ -8,7 +8,6 @@ of this plan to the time of a survey of the remaining tiles and visits alone; an
 the folder. The state is compared with a second replay, and the files of observed tiles with the recorded checksums.
 """
 
-import argparse
 import hashlib
 import os
 import tempfile
@@ -19,7 +18,8 @@ from time import perf_counter, process_time
 
 import numpy as np
 from astropy.table import Table
-from survey_figures import desi_tiles, make_targets, peak_gb
+from measure import arguments, peak_gb
+from survey_figures import desi_tiles, make_targets
 
 import rfpsurvey as rs
 
@@ -64,13 +64,7 @@ os.environ["SOURCE_DATE_EPOCH"] = "1767225600"  # the survey is planned before t
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--targets", type=float, default=20e6)
-    parser.add_argument("--tiles", type=int, default=21615)
-    parser.add_argument("--chunks", type=int, default=60)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--compared", type=int, default=5, help="number of chunks with a survey of the rest alone")
-    options = parser.parse_args()
+    options = arguments(__doc__, targets=20e6, tiles=21615, chunks=60, workers=2, compared=5)
     rng, tiling = np.random.default_rng(1), desi_tiles(options.tiles)
     targets = make_targets(tiling, options.targets)
     print(f"{len(tiling)} tiles, {len(targets)} targets")

@@ -13,7 +13,6 @@ observed are counted, so that the truncation of the probabilities has no effect.
 failures of each tile is a random number between 0 and twice the given rate.
 """
 
-import argparse
 import os
 import tempfile
 import warnings
@@ -22,6 +21,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table, vstack
+from measure import arguments
 
 import rfpsurvey as rs
 
@@ -100,13 +100,7 @@ def sums(rate: float, seeds: range, n: int, *, varying: bool = False) -> dict[st
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--surveys", type=int, default=1800, help="number of small surveys")
-    parser.add_argument("--realizations", type=int, default=128)
-    parser.add_argument("--rates", type=float, nargs="+", default=[0.0, 0.05, 0.2])
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--varying", action="store_true")
-    given = parser.parse_args()
+    given = arguments(__doc__, surveys=1800, realizations=128, rates=[0.0, 0.05, 0.2], seed=0, varying=False)
     os.environ["SOURCE_DATE_EPOCH"] = "1764547200"  # all plans are made on 2025-12-01, before the observations
     warnings.simplefilter("ignore")
     seeds = range(given.seed, given.seed - (-given.surveys // N_PLACES))

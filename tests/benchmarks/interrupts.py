@@ -11,7 +11,6 @@ have the same bytes as the files of the run without interrupt. A fraction ``--fr
 empty cache of compiled functions. The exit code of the script is 1 if a check failed.
 """
 
-import argparse
 import os
 import shutil
 import signal
@@ -28,6 +27,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from measure import arguments
 from PIL import Image
 
 import rfpsurvey as rs
@@ -194,13 +194,7 @@ def resume(words, folder: Path, expected: dict[str, bytes]) -> list[str]:
 
 def main() -> int:
     """Interrupt the commands, and print a row for each interrupt."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--number", type=int, default=60)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--only", default="", help="beginning of the names of the commands to interrupt")
-    parser.add_argument("--fresh", type=float, default=0.2)
-    parser.add_argument("--quick", action="store_true", help="assume the run time of commands that cannot be resumed")
-    options = parser.parse_args()
+    options = arguments(__doc__, number=60, seed=0, only="", fresh=0.2, quick=False)
     rng = np.random.default_rng(options.seed)
     names = [name for name in COMMANDS if name.startswith(options.only)]
     failed, expected, seconds = 0, {}, {}

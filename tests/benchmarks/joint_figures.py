@@ -7,38 +7,26 @@ table of the joint plan. ``scan`` prints the gain as a function of the overlap o
 clustering, which docs/figures/joint_gain.py plots.
 """
 
-import argparse
-import os
 import warnings
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from pathlib import Path
+from functools import partial
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from survey_figures import peak_gb
+from measure import DATA, arguments, peak_gb, timed
 
 import rfpsurvey as rs
 
-DATA = Path(os.environ.get("RFPSURVEY_TEST_DATA", "data"))
 CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
 
 
-def sdss(_):
-    sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "sdss_apo", rs.place_tiles(sky, "sdss_apo", allocator="lamost_rule"), {}
-
-
-def lamost(_):
-    sky = rs.Catalog.read(DATA / "tycho2_spring_60x20.ecsv.gz")
-    return sky, "lamost", rs.place_tiles(sky, "lamost", allocator="lamost_rule"), {}
-
-
-def moons(_):
-    sky = rs.Catalog.read(DATA / "zcosmos_bright.ecsv")
-    return sky, "moons", rs.place_tiles(sky, "moons", passes=2, allocator="lamost_rule"), {"patch_size": 600}
+def placed(_, name, file="tycho2_spring_60x20.ecsv.gz", passes=1, **joint):
+    """Return targets from a file, an instrument, placed tiles, and options of the joint plan."""
+    sky = rs.Catalog.read(DATA / file)
+    return sky, name, rs.place_tiles(sky, name, passes=passes, allocator="lamost_rule"), joint
 
 
 def desi(options):
@@ -71,7 +59,13 @@ def with_calibration(catalog, instrument):
     return replace(catalog, kind=kind), {"requirements": needs, "sky_separation": 5 * u.arcsec}
 
 
-CASES = {"sdss": sdss, "lamost": lamost, "moons": moons, "desi": desi}
+moons = partial(placed, name="moons", file="zcosmos_bright.ecsv", passes=2, patch_size=600)
+CASES = {
+    "sdss": partial(placed, name="sdss_apo"),
+    "lamost": partial(placed, name="lamost"),
+    "moons": moons,
+    "desi": desi,
+}
 
 
 def visits_of(survey):
@@ -90,12 +84,10 @@ def compare(name, options, executor):
     print(f"{name}: {len(catalog)} targets, {len(tiling)} tiles, {instrument}, {needs}", flush=True)
     limit = {"time_limit": options.tile_seconds * u.s, **needs}
     for allocator in ("lamost_rule", "repair", "optimal"):
-        begin = perf_counter()
-        some = limit if allocator == "optimal" else needs
-        survey = rs.plan_survey(
-            catalog, instrument, tiling, allocator=rs.AllocationOptions(allocator, **some), executor=executor
-        )
-        print(f"  {allocator}: {visits_of(survey)}, {perf_counter() - begin:.0f} s", flush=True)
+        asked = rs.AllocationOptions(allocator, **(limit if allocator == "optimal" else needs))
+        given = {"allocator": asked, "executor": executor, "clock": perf_counter}
+        survey, seconds = timed(rs.plan_survey, catalog, instrument, tiling, **given)
+        print(f"  {allocator}: {visits_of(survey)}, {seconds:.0f} s", flush=True)
     begin = perf_counter()
     first = rs.AllocationOptions("optimal", **limit)
     joint |= {"time_limit": options.seconds * u.s, "allocator": first, "early": options.early}
@@ -132,13 +124,9 @@ def scan(options, executor):
         points = [(s, 1.0) for s in (0.2, 0.4, 0.6, 0.8, 1.0)] + [(0.4, n) for n in (0.25, 0.5, 2.0, 4.0)]
         for spacing, per_fiber in points:
             catalog, instrument, tiles = scan_case(spacing, per_fiber, clustered)
-            joint = rs.JointOptions(
-                iterations=20,
-                time_limit=options.scan_seconds * u.s,
-                gap=2e-4,
-                patch_size=600,
-                allocator=rs.AllocationOptions("optimal", time_limit=options.tile_seconds * u.s),
-            )
+            first = rs.AllocationOptions("optimal", time_limit=options.tile_seconds * u.s)
+            search = {"iterations": 20, "gap": 2e-4, "patch_size": 600, "time_limit": options.scan_seconds * u.s}
+            joint = rs.JointOptions(**search, allocator=first)
             survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint, executor=executor)
             level = survey.summary["joint"]["levels"][-1]
             seconds = float(survey.joint["seconds"][-1])
@@ -148,19 +136,11 @@ def scan(options, executor):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("cases", nargs="*", metavar="CASE", help=", ".join([*CASES, "scan"]))
-    parser.add_argument("--seconds", type=float, default=1800.0)
-    parser.add_argument("--calibration", action="store_true", help="with sky fibers, standards and requirements")
-    parser.add_argument("--early", action="store_true", help="move visits to earlier passes")
-    parser.add_argument("--tile-seconds", type=float, default=20.0)
-    parser.add_argument("--scan-seconds", type=float, default=60.0)
-    parser.add_argument("--tiles", type=int, default=100)
-    parser.add_argument("--density", type=float, default=1500.0)
-    options = parser.parse_args()
+    seconds = {"seconds": 1800.0, "tile_seconds": 20.0, "scan_seconds": 60.0}
+    options = arguments(__doc__, [*CASES, "scan"], **seconds, calibration=False, early=False, tiles=100, density=1500.0)
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
     with ThreadPoolExecutor(2) as executor:
-        for name in options.cases or [*CASES, "scan"]:
+        for name in options.words:
             if name in CASES:
                 compare(name, options, executor)
             else:

@@ -7,13 +7,12 @@ twice in succession. rfpsurvey: `find_collisions`, from the positions of the fib
 described in ``tests/benchmarks/planners/sdss_kaiju.py``.
 """
 
-import argparse
 from collections import defaultdict
 from statistics import median
-from time import process_time
 
 import astropy.units as u
 import numpy as np
+from measure import arguments, hexagon, timed
 
 import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
@@ -22,21 +21,12 @@ from rfpsurvey.collision import place_arms
 
 BLOCK = 10
 """Configurations that one program receives, before the other program receives them."""
-GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 0.0, 25.6), "sdss": (7.4, 15.0, 2.5, 0.1, 22.4)}
-
-
-def timed(function):
-    """Return the result of a function and its processor time (s)."""
-    begin = process_time()
-    found = function()
-    return found, process_time() - begin
+GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 25.6, 36), "sdss": (7.4, 15.0, 2.5, 22.4, 36, 0.1)}
 
 
 def compare(name: str, repeats: int) -> None:
     """Print the medians of both programs for one geometry."""
-    l1, l2, clearance, step, pitch = GEOMETRIES[name]
-    unit = rs.Positioner(l1 * u.mm, l2 * u.mm, clearance * u.mm, step=step * u.deg)
-    plane = rs.FocalPlane.hexagonal(unit, rings=36, pitch=pitch * u.mm)
+    plane = hexagon(*GEOMETRIES[name])
     rng, grid, times = np.random.default_rng(1), make_grid(plane), defaultdict(list)
     many = [random_tips(plane, rng) * u.mm for _ in range(20)]
     rs.find_collisions(plane, many[0])  # compile
@@ -64,9 +54,7 @@ def compare(name: str, repeats: int) -> None:
 
 def main() -> None:
     """Print the comparison."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--repeats", type=int, default=20, help="blocks of 10 configurations")
-    given = parser.parse_args()
+    given = arguments(__doc__, repeats=20)
     for name in GEOMETRIES:
         compare(name, given.repeats)
 

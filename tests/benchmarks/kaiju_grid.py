@@ -17,27 +17,9 @@ def make_grid(plane):
     grid = RobotGrid(unit.step.to_value("deg"))
     for i, (x, y) in enumerate(plane.xy.to_value("mm")):
         # flat focal plane: no offsets, no tilt, unit scale
-        grid.addRobot(
-            i,
-            str(i),
-            [x, y, 0.0],
-            [1.0, 0.0, 0.0],
-            [0.0, 1.0, 0.0],
-            [0.0, 0.0, 1.0],
-            [0.0, 0.0, 0.0],
-            l1,
-            0.0,
-            0.0,
-            143.0,
-            1.0,
-            [l2, 0.0],
-            [l2, 0.0],
-            [l2, 0.0],
-            [[0.0, 0.0], [l2, 0.0]],
-            True,
-            unit.clearance.to_value("mm"),
-            False,
-        )
+        axes, fiber, clearance = np.eye(3).tolist(), [l2, 0.0], unit.clearance.to_value("mm")
+        place = i, str(i), [x, y, 0.0], *axes, [0.0, 0.0, 0.0]
+        grid.addRobot(*place, l1, 0.0, 0.0, 143.0, 1.0, *[fiber] * 3, [[0.0, 0.0], fiber], True, clearance, False)
     grid.initGrid()
     return grid
 

@@ -7,10 +7,10 @@ the times of the tests of pairs.
 import sys
 import warnings
 from functools import partial
-from time import process_time
 
 import astropy.units as u
 import numpy as np
+from measure import timed
 from tie_figures import scene
 
 import rfpsurvey as rs
@@ -28,9 +28,7 @@ def plan(plane, xy, allocator, constraint=None, **options):
     """Return a plan, and the processor time that it takes."""
     options |= {"time_limit": LIMIT} if allocator == "optimal" else {}
     options = rs.AllocationOptions(allocator, constraints=constraint, **options)
-    begin = process_time()
-    found = rs.allocate(plane, xy, allocator=options)
-    return found, process_time() - begin
+    return timed(rs.allocate, plane, xy, allocator=options)
 
 
 def collisions(plane, found):
@@ -118,7 +116,7 @@ def speed():
             n_static += (
                 np.hypot(halves[0, a] - halves[0, b], halves[1, a] - halves[1, b]) <= columns.limits.near
             ).sum()
-        times = [min(_time(function) for _ in range(5)) for function in (moving, static)]
+        times = [min(timed(function)[1] for _ in range(5)) for function in (moving, static)]
         each = 1e9 * times[0] / n_moving, 1e9 * times[1] / n_static
         print(f"  {name:<9} {each[0]:6.0f} {each[1]:6.0f} {each[0] / each[1]:5.1f}; {n_moving}, {n_static}", flush=True)
 
@@ -129,12 +127,6 @@ def _static(columns, own, start, segments, halves, lists):
     )
     if columns.limits.outline.start.size > 1:
         conflicts.keep_outlined(n, own, segments, columns.limits, *lists)
-
-
-def _time(function):
-    begin = process_time()
-    function()
-    return process_time() - begin
 
 
 if __name__ == "__main__":

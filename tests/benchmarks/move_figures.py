@@ -8,12 +8,12 @@ positions, standards and requirements, and a quarter of these also safe motion. 
 class. If an optimum is not proven within the time limit, the bound takes its place in the best class.
 """
 
-import argparse
 import time
 from itertools import product
 
 import astropy.units as u
 import numpy as np
+from measure import arguments
 
 import rfpsurvey as rs
 
@@ -81,11 +81,7 @@ def wide(limit):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--limit", type=float, default=10.0, help="time limit of optimal in seconds")
-    parser.add_argument("--repeats", type=int, default=5)
-    parser.add_argument("--wide", action="store_true", help="96 scenes of all densities, with and without rules")
-    asked = parser.parse_args()
+    asked = arguments(__doc__, limit=10.0, repeats=5, wide=False)
     if asked.wide:
         wide(asked.limit)
         return

@@ -5,7 +5,6 @@ the folder of a survey with 2000 tiles (``--nights N`` for 2 N tiles). The comma
 several times, and the times of the status before and after the rest is planned.
 """
 
-import argparse
 import os
 import tempfile
 import time
@@ -17,6 +16,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
+from measure import arguments
 
 import rfpsurvey as rs
 
@@ -56,6 +56,4 @@ def main(n_nights: int) -> None:
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--nights", type=int, default=1000)
-    main(parser.parse_args().nights)
+    main(arguments(__doc__, nights=1000).nights)

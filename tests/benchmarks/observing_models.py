@@ -4,11 +4,10 @@ It prints the table of the page on observing conditions, and the times in ``docs
 pass through the zenith, and are west of the meridian.
 """
 
-from time import perf_counter
-
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import smallest
 
 import rfpsurvey as rs
 from rfpsurvey.observing import MODELS, field_of_model
@@ -48,15 +47,12 @@ def seconds(name):
     scale = instrument.plate_scale.to_value(u.mm / u.rad)
     found = {}
     for model in MODELS:
-        times = []
-        for _ in range(REPEATS):
-            begin = perf_counter()
-            field = field_of_model(
-                model, plane.plain.basis, scale, instrument.distortion, conditions, radius.to_value("rad")
-            )
-            field.project(vectors, kinds)
-            times.append(perf_counter() - begin)
-        found[model] = min(times)
+
+        def project(model=model):
+            given = plane.plain.basis, scale, instrument.distortion, conditions, radius.to_value("rad")
+            field_of_model(model, *given).project(vectors, kinds)
+
+        found[model] = smallest(project, REPEATS)
     return found
 
 

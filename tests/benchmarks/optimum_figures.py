@@ -6,14 +6,14 @@ limits), ``oracle`` (small scenes against an independent integer program) or ``q
 the time limit).
 """
 
-import argparse
-import resource
 import sys
 from pathlib import Path
 from time import perf_counter, process_time
 
 import astropy.units as u
+import measure
 import numpy as np
+from measure import arguments, in_circle, peak_gb
 
 import rfpsurvey as rs
 from rfpsurvey.allocation import _search
@@ -28,11 +28,9 @@ ARMS = {"LAMOST": (25.6, 8.25, 8.25, 4.5), "SDSS-V": (22.4, 7.4, 15, 5.0782)}
 def hexagon(arms, rings, multiplicity, seed):
     """Return a full hexagon of positioners, and targets that are uniform in the circle around it."""
     pitch, central, eccentric, separation = arms
-    unit = rs.Positioner(central * u.mm, eccentric * u.mm, separation / 2 * u.mm)
-    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=pitch * u.mm)
-    rng, n = np.random.default_rng(seed), max(round(multiplicity * len(plane)), 1)
-    r, angle = (rings + 0.5) * pitch * np.sqrt(rng.random(n)), 2 * np.pi * rng.random(n)
-    return plane, np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+    plane = measure.hexagon(central, eccentric, separation / 2, pitch, rings)
+    n = max(round(multiplicity * len(plane)), 1)
+    return plane, in_circle(np.random.default_rng(seed), (rings + 0.5) * pitch, n)
 
 
 def solve(plane, xy, seconds, allocator="optimal"):
@@ -40,10 +38,6 @@ def solve(plane, xy, seconds, allocator="optimal"):
     begin, begin_cpu = perf_counter(), process_time()
     found = rs.allocate(plane, xy, allocator=rs.AllocationOptions(allocator, time_limit=seconds * u.s))
     return found, perf_counter() - begin, process_time() - begin_cpu
-
-
-def peak_gb():
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def large():
@@ -122,19 +116,16 @@ def quality():
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--only", choices=["large", "sizes", "clock", "oracle", "quality"])
-    parser.add_argument("--scenes", type=int, default=200)
-    given = parser.parse_args()
+    given = arguments(__doc__, only="", scenes=200)
     largest, _search.LARGEST = _search.LARGEST, 0  # compiles all kernels
     solve(*hexagon(ARMS["SDSS-V"], 8, 1, 0), 5)
     solve(*hexagon((10.0, 10, 15, 3.0), 3, 50, 0), 5)
     _search.LARGEST = largest
     for part in (large, sizes, quality):
-        if given.only in (None, part.__name__):
+        if given.only in ("", part.__name__):
             part()
     for part in (clock, oracle):
-        if given.only in (None, part.__name__):
+        if given.only in ("", part.__name__):
             part(given.scenes)
 
 

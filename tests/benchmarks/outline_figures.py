@@ -8,6 +8,7 @@ Both kernels process the pairs that remain after the broad phase for outlines. T
 
 import sys
 from concurrent.futures import ProcessPoolExecutor
+from functools import partial
 from itertools import repeat
 from pathlib import Path
 from time import perf_counter
@@ -18,6 +19,7 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
+from measure import alternated
 from outline_pairs import PLACES, SHAPES, count, make_pairs
 
 import rfpsurvey as rs
@@ -29,37 +31,17 @@ DRAW = 1000
 REPEATS = 300
 
 # Envelopes of DESI's arms (mm). The newer and the older drawing share the central polygon, which is not convex.
-CENTRAL = np.array(
-    [
-        [0.814, -3.236],
-        [2.083, -2.707],
-        [2.613, -2.665],
-        [4.194, -2.761],
-        [4.893, -1.168],
-        [-1.902, -0.935],
-        [-2.007, -2.665],
-        [-1.139, -3.137],
-        [-0.170, -3.332],
-    ]
-)
+CENTRAL_X = [0.814, 2.083, 2.613, 4.194, 4.893, -1.902, -2.007, -1.139, -0.170]
+CENTRAL_Y = [-3.236, -2.707, -2.665, -2.761, -1.168, -0.935, -2.665, -3.137, -3.332]
+CENTRAL = np.column_stack([CENTRAL_X, CENTRAL_Y])
 CENTRAL_PARTS = [CENTRAL[[0, 1, 5, 6, 7, 8]], CENTRAL[[1, 2, 5]], CENTRAL[[2, 3, 4, 5]]]
 TIP = [[3.967, 0], [3.918, 1.014], [3.269, 1.583]]
+UPPER = [[1.712, 1.391], [1.313, 1.959], [0, 2.395], [-1.324, 1.959], [-2.106, 0.848]]
 OUTLINES = {
     "7 + 9 vertices": [[*TIP, [-1.172, 1.037], [-1.172, -1.037], [3.269, -1.583], [3.918, -1.014]]],
     "15 + 9 vertices": [
         [*TIP, [1.712, 1.391], [1.712, -1.391], [3.269, -1.583], [3.918, -1.014]],
-        [
-            [1.712, 1.391],
-            [1.313, 1.959],
-            [0, 2.395],
-            [-1.324, 1.959],
-            [-2.106, 0.848],
-            [-2.106, -0.848],
-            [-1.324, -1.959],
-            [0, -2.395],
-            [1.313, -1.959],
-            [1.712, -1.391],
-        ],
+        [*UPPER, *([x, -y] for x, y in UPPER[::-1])],
     ],
 }
 
@@ -99,12 +81,6 @@ def outlines(outline, separation, s, first, second, out):
         )
 
 
-def seconds(function, *arguments):
-    start = perf_counter()
-    function(*arguments)
-    return perf_counter() - start
-
-
 def speed():
     """Print the times per pair, and their ratio."""
     columns = rs.Instrument.preset("desi").focal_plane.arrays
@@ -128,8 +104,7 @@ def speed():
         m = collisions.keep_near(halves, len(first), separation**2, first, second)
         first, second, out = first[:m], second[:m], np.empty(m)
         calls = (capsules, segments, first, second, out), (outlines, outline, separation, segments, first, second, out)
-        seconds(*calls[0]), seconds(*calls[1])
-        times = np.array([[seconds(*call) for call in calls] for _ in range(REPEATS)]) / m * 1e9
+        times = alternated([partial(*call) for call in calls], REPEATS, perf_counter) / m * 1e9
         colliding = np.mean(out < separation**2)
         low, middle = times.min(axis=0), np.median(times, axis=0)
         ratio = np.median(times[:, 1] / times[:, 0])

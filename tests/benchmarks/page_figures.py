@@ -4,7 +4,6 @@ Run ``python tests/benchmarks/page_figures.py [FOLDER]``; the pages remain in th
 requires the file ``desi_tiles_main.ecsv.gz`` in the folder RFPSURVEY_TEST_DATA.
 """
 
-import os
 import sys
 import tempfile
 from pathlib import Path
@@ -14,6 +13,8 @@ from time import perf_counter
 from astropy.coordinates import SkyCoord
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
+
+from measure import TILES
 
 import rfpsurvey as rs
 from browser import open_browser
@@ -60,11 +61,10 @@ def must_tile(folder):
 
 
 def desi_survey(folder):
-    path = Path(os.environ.get("RFPSURVEY_TEST_DATA", "")) / "desi_tiles_main.ecsv.gz"
-    if not path.exists():
+    if not TILES.exists():
         print("no map of the DESI survey: desi_tiles_main.ecsv.gz is not in RFPSURVEY_TEST_DATA")
         return []
-    rs.write_report(rs.Tiling.read(path), folder / "desi_sky.html", overwrite=True)
+    rs.write_report(rs.Tiling.read(TILES), folder / "desi_sky.html", overwrite=True)
     return ["desi_sky.html"]
 
 

@@ -7,6 +7,7 @@ from time import perf_counter
 
 import astropy.units as u
 import numpy as np
+from measure import hexagon, timed
 
 import rfpsurvey as rs
 from rfpsurvey.probability import Precision, RandomTargets
@@ -15,24 +16,14 @@ N_TARGETS, STANDARD_ERROR, REPEATS = 20_000, 2e-4, 9
 ARMS = {"LAMOST": (8.25, 8.25, 2.25, 25.6), "SDSS-V": (7.4, 15.0, 2.5391, 22.4)}
 
 
-def plane_of(l1, l2, d, pitch):
-    return rs.FocalPlane.hexagonal(rs.Positioner(l1 * u.mm, l2 * u.mm, d * u.mm), rings=12, pitch=pitch * u.mm)
-
-
-def timed(call):
-    start = perf_counter()
-    result = call()
-    return perf_counter() - start, result
-
-
 def medians(*calls):
     """Return the median times (s) of functions that are called alternately with different random numbers, and their
     results.
     """
     for call in calls:
         call(0)
-    runs = [[timed(lambda call=call, k=k: call(k)) for call in calls] for k in range(1, REPEATS + 1)]
-    return [(np.median([r[j][0] for r in runs]), [r[j][1] for r in runs]) for j in range(len(calls))]
+    runs = [[timed(call, k, clock=perf_counter) for call in calls] for k in range(1, REPEATS + 1)]
+    return [(np.median([r[j][1] for r in runs]), [r[j][0] for r in runs]) for j in range(len(calls))]
 
 
 def compare(plane):
@@ -72,10 +63,10 @@ def compare(plane):
 
 def main():
     for name, arms in ARMS.items():
-        plane = plane_of(*arms)
+        plane = hexagon(*arms, 12)
         print(f"{name}: {len(plane)} positioners, {len(plane.neighbor_pairs())} pairs, {N_TARGETS} targets")
         compare(plane)
-    plane = plane_of(*ARMS["LAMOST"])
+    plane = hexagon(*ARMS["LAMOST"], 12)
     discs = RandomTargets("poisson_disc", number=N_TARGETS, radius=200 * u.mm, min_separation=1.5 * u.mm)
     options = {"targets": discs, "method": "monte_carlo", "precision": Precision(max_iterations=16)}
     ((seconds, _),) = medians(lambda seed: rs.collision_probability(plane, rng=seed, **options))

@@ -7,7 +7,6 @@ RFPSURVEY_TEST_DATA.
 """
 
 import os
-import platform
 import resource
 import subprocess
 import sys
@@ -20,6 +19,7 @@ from time import perf_counter, process_time
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import TILES, machine, smallest
 from selection_figures import MIDDLE, some_tiles
 
 import rfpsurvey as rs
@@ -31,14 +31,7 @@ N_TILES, DENSITY = 300, 1500
 
 
 def smallest_ms(call, n=200):
-    """Return the smallest time of a call in ms."""
-    call()
-    times = []
-    for _ in range(n):
-        begin = perf_counter()
-        call()
-        times.append(perf_counter() - begin)
-    return 1e3 * min(times)
+    return 1e3 * smallest(call, n)
 
 
 def show(name, ms):
@@ -147,11 +140,10 @@ def show_command(name, words, env, n):
 
 def survey():
     """Print the processor time per tile of the tiles of DESI near a position."""
-    path = Path(os.environ.get("RFPSURVEY_TEST_DATA", "")) / "desi_tiles_main.ecsv.gz"
-    if not path.exists():
+    if not TILES.exists():
         print("no survey: desi_tiles_main.ecsv.gz is not in RFPSURVEY_TEST_DATA")
         return
-    tiling = some_tiles(rs.Tiling.read(path), N_TILES)
+    tiling = some_tiles(rs.Tiling.read(TILES), N_TILES)
     targets = rs.synthetic_catalog("uniform", MIDDLE, 15 * u.deg, density=DENSITY / u.deg**2, rng=1)
     for allocator in ("nearest", "repair"):
         print(f"plan_survey, {len(tiling)} tiles of DESI, {len(targets)} targets, allocator {allocator}")
@@ -178,7 +170,7 @@ CASES = {f.__name__: f for f in (tile, collisions, configurations, survey, modul
 
 
 def main():
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}, NumPy {np.__version__}")
+    print(machine())
     for name in sys.argv[1:] or CASES:
         CASES[name]()
 

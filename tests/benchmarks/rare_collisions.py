@@ -3,19 +3,18 @@
 ``python tests/benchmarks/rare_collisions.py`` takes a minute on one core.
 """
 
-import astropy.units as u
 import numpy as np
+from measure import hexagon
 
 import rfpsurvey as rs
 from rfpsurvey.probability import Precision
 
-UNIT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 REPEATS = 500
 
 
 def main():
     for pitch, n in ((33.0, 100_000), (35.0, 100_000), (36.5, 400_000)):
-        plane = rs.FocalPlane.hexagonal(UNIT, rings=2, pitch=pitch * u.mm)
+        plane = hexagon(8.25, 8.25, 2.25, pitch, 2)
         truth = rs.collision_probability(plane, precision=Precision(max_iterations=n), rng=99)
         found = [rs.collision_probability(plane, precision=1e-3, rng=k) for k in range(REPEATS)]
         held = np.mean([e.low <= truth.value <= e.high for e in found])

@@ -7,13 +7,13 @@ adds a kind of rule to the rules of the row above. The rules of SDSS-V are those
 examples, not the rules of the observatories. Times exclude compilation.
 """
 
-import argparse
 import warnings
 from time import perf_counter
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
+from measure import arguments
 
 import rfpsurvey as rs
 from sky_center import CENTER
@@ -65,10 +65,7 @@ def row(model, catalog, rules, name, seconds):
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seconds", type=float, default=60)
-    parser.add_argument("--field", choices=FIELDS)
-    asked = parser.parse_args()
+    asked = arguments(__doc__, seconds=60.0, field="")
     warnings.simplefilter("ignore", rs.RfpsurveyWarning)
     columns = f"{'science':>9}{'first':>8}{'failed':>8}{'s':>9}{'gap':>9}"
     print(f"{'':<38}{'repair':^43}{'optimal':^43}\n{'field':<22}{'rules':<16}{columns}{columns}")

@@ -9,10 +9,6 @@ all tiles, the script also prints an extrapolation to all tiles: times per tile 
 The time does not include making the catalog.
 """
 
-import argparse
-import os
-import platform
-import resource
 import shutil
 import tempfile
 import threading
@@ -25,6 +21,7 @@ from time import perf_counter, sleep
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import TILES, arguments, machine, peak_gb
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
@@ -37,7 +34,7 @@ MIDDLE = SkyCoord(180 * u.deg, 20 * u.deg)
 
 
 def all_tiles():
-    return rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
+    return rs.Tiling.read(TILES)
 
 
 def some_tiles(tiling, n):
@@ -82,11 +79,6 @@ class Clock:
         setattr(place, name, timed)
 
 
-def peak_gb():
-    """Return the maximum memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-
-
 class Disk(threading.Thread):
     """Measures the largest size of a folder."""
 
@@ -108,62 +100,45 @@ class Disk(threading.Thread):
 
 def in_batch(targets, tiling, options, folder):
     """Compute selection probabilities; return the result, the time and the times of the stages."""
-    clock = Clock()
-    clock.wrap(_work, "reach_of", "projection and reach (workers)")
-    clock.wrap(_work, "choose_pairs", "rule (workers)")
-    clock.wrap(_work.Poses, "__init__", "poses (workers)")
-    clock.wrap(_work.Poses, "find_lost", "collisions (workers)")
-    clock.wrap(_select, "prepare_request", "index of the targets (main thread)")
-    clock.wrap(Request, "identity", "digest of the catalog (main thread)")
-    clock.wrap(Request, "job", "fields (main thread)")
-    clock.wrap(State, "enter", "state (main thread)")
-    clock.wrap(_folder.SelectionFolder, "save", "checkpoints (main thread)")
-    clock.wrap(_run, "count_tiles", "all of the count of tiles in reach")
-    clock.wrap(_run.SelectionProbabilities, "write", "writing the result (main thread)")
+    clock, main = Clock(), "(main thread)"
+    for place, name, stage in (
+        (_work, "reach_of", "projection and reach (workers)"),
+        (_work, "choose_pairs", "rule (workers)"),
+        (_work.Poses, "__init__", "poses (workers)"),
+        (_work.Poses, "find_lost", "collisions (workers)"),
+        (_select, "prepare_request", f"index of the targets {main}"),
+        (Request, "identity", f"digest of the catalog {main}"),
+        (Request, "job", f"fields {main}"),
+        (State, "enter", f"state {main}"),
+        (_folder.SelectionFolder, "save", f"checkpoints {main}"),
+        (_run, "count_tiles", "all of the count of tiles in reach"),
+        (_run.SelectionProbabilities, "write", f"writing the result {main}"),
+    ):
+        clock.wrap(place, name, stage)
+    given = {"allocator": options.allocator, "folder": folder, "progress": options.progress}
     begin = perf_counter()
     with ThreadPoolExecutor(options.workers) as executor:
-        found = rs.selection_probabilities(
-            targets,
-            "desi",
-            tiling,
-            options.realizations,
-            allocator=options.allocator,
-            folder=folder,
-            executor=executor,
-            progress=options.progress,
-        )
+        found = rs.selection_probabilities(targets, "desi", tiling, options.realizations, executor=executor, **given)
     return found, perf_counter() - begin, dict(clock.seconds)
 
 
 def alone(targets, tiling, options, seed):
     """Return the time per tile of one realization that is planned as a survey; the first tile is not included."""
     allocator, times = rs.AllocationOptions(options.allocator, subpriority=seed), []
+    given = {"allocator": allocator, "rng": seed, "progress": lambda *_: times.append(perf_counter())}
     with ThreadPoolExecutor(options.workers) as executor:
-        rs.plan_survey(
-            targets,
-            "desi",
-            tiling,
-            allocator=allocator,
-            rng=seed,
-            executor=executor,
-            progress=lambda *_: times.append(perf_counter()),
-        )
+        rs.plan_survey(targets, "desi", tiling, executor=executor, **given)
     return (times[-1] - times[0]) / (len(times) - 1)
 
 
 def main():
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--tiles", type=int, default=800)
-    parser.add_argument("--targets", type=float, default=20e6)
-    parser.add_argument("--realizations", type=int, default=128)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--allocator", default="nearest")
-    parser.add_argument("--progress", action="store_true")
-    options = parser.parse_args()
+    options = arguments(
+        __doc__, tiles=800, targets=20e6, realizations=128, workers=2, allocator="nearest", progress=False
+    )
     everything = all_tiles()
     tiling = some_tiles(everything, options.tiles)
     targets = make_targets(everything, int(options.targets))
-    print(f"{platform.processor() or platform.machine()}, {os.cpu_count()} cores, {options.workers} workers")
+    print(f"{machine()}, {options.workers} workers")
     print(f"{len(targets)} targets, {len(tiling)} tiles, {options.realizations} realizations, {options.allocator}")
     print(f"memory before: {peak_gb():.2f} GB", flush=True)
     small = rs.synthetic_catalog("uniform", MIDDLE, 1 * u.deg, n_targets=1000, rng=1)

@@ -6,9 +6,6 @@ RFPSURVEY_TEST_DATA=... python tests/benchmarks/stage5_figures.py survey [--targ
 Times are processor times of the second of two calls, apart from the survey.
 """
 
-import argparse
-import os
-import platform
 import resource
 import tempfile
 from concurrent.futures import ProcessPoolExecutor
@@ -19,6 +16,7 @@ from time import perf_counter, process_time
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import arguments, machine, timed
 
 import rfpsurvey as rs
 
@@ -26,11 +24,10 @@ CENTER = SkyCoord("10h +20d")
 ALLOCATORS = ("nearest", "balanced", "repair", "optimal")
 
 
-def timed(function, *args, **options):
+def second(function, *args, **options):
     """Call a function twice; return its result and the processor time of the second call."""
     function(*args, **options)
-    begin = process_time()
-    return function(*args, **options), process_time() - begin
+    return timed(function, *args, **options)
 
 
 def sky_for(instrument, per_positioner, rng=1):
@@ -64,7 +61,7 @@ def tile(_options):
     must = rs.Instrument.preset("must")
     sky = rs.synthetic_catalog("uniform", CENTER, must.field_radius, n_targets=100_000, rng=1)
     for allocator in ALLOCATORS:
-        one, seconds = timed(rs.plan_tile, sky, must, CENTER, allocator=allocator)
+        one, seconds = second(rs.plan_tile, sky, must, CENTER, allocator=allocator)
         s = one.summary
         print(f"{allocator:9} {s['n_assigned']} assigned, {s['n_colliding']} collide, gap {s['gap']}, {seconds:.3f} s")
     with tempfile.TemporaryDirectory() as folder:
@@ -72,9 +69,9 @@ def tile(_options):
         begin = process_time()
         rs.write_report(one, path)
         print(f"page of the tile: {path.stat().st_size / 1e6:.2f} MB, {process_time() - begin:.1f} s")
-    found, seconds = timed(rs.collision_probability, must)
+    found, seconds = second(rs.collision_probability, must)
     print(f"{found}, {seconds:.2f} s")
-    _, seconds = timed(rs.compare_instruments, "poisson", ["must", "spec_s5", "desi"])
+    _, seconds = second(rs.compare_instruments, "poisson", ["must", "spec_s5", "desi"])
     print(f"comparison of three instruments: {seconds:.1f} s")
 
 
@@ -92,7 +89,7 @@ def growth(_options):
                 path.write_text(text.replace('name = "must"', 'name = "size"'))
                 instrument = rs.Instrument.read(path)
             sky = sky_for(instrument, 5)
-            _, seconds = timed(rs.plan_tile, sky, instrument, CENTER, allocator=allocator)
+            _, seconds = second(rs.plan_tile, sky, instrument, CENTER, allocator=allocator)
             found.append((len(instrument.focal_plane), seconds))
         sizes, times = np.log(np.array(found)).T
         text = ", ".join(f"{n}: {seconds:.3f} s" for n, seconds in found)
@@ -212,14 +209,9 @@ PARTS = {f.__name__: f for f in (tile, growth, surface, arms, gaps, classes, bro
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("parts", nargs="*", metavar="PART", help=", ".join(PARTS))
-    parser.add_argument("--targets", type=float, default=40e6)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--folder", help="folder for temporary files")
-    options = parser.parse_args()
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
-    for name in options.parts or [name for name in PARTS if name != "survey"]:
+    options = arguments(__doc__, [name for name in PARTS if name != "survey"], targets=40e6, workers=2, folder=str)
+    print(machine())
+    for name in options.words:
         PARTS[name](options)
 
 

@@ -4,19 +4,18 @@ The scene is seven positioners with two Poisson targets and a precision of 0.01.
 tests/benchmarks/stopping_bias.py`` takes three minutes on one core.
 """
 
-import astropy.units as u
 import numpy as np
+from measure import hexagon
 
 import rfpsurvey as rs
 from rfpsurvey.probability import Precision, RandomTargets
 
-UNIT = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2.5 * u.mm, step=0.1 * u.deg)
 PRECISION, REPEATS = 0.01, 4000
 
 
 def main():
     for pitch in (24, 28, 32, 36, 40):
-        plane = rs.FocalPlane.hexagonal(UNIT, rings=1, pitch=pitch * u.mm)
+        plane = hexagon(7.4, 15, 2.5, pitch, 1, 0.1)
         options = {"method": "monte_carlo", "targets": RandomTargets("poisson", number=2)}
         truth = rs.collision_probability(plane, precision=Precision(max_iterations=1_000_000), rng=1, **options)
         seeds = np.random.default_rng(5).spawn(REPEATS)

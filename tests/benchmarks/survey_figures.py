@@ -7,11 +7,7 @@ The first command prints the time, the time per tile and the maximum memory; the
 catalog. The second command increases the number of tiles, and then the number of targets.
 """
 
-import argparse
 import json
-import os
-import platform
-import resource
 import shutil
 import sys
 import tempfile
@@ -22,6 +18,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import TILES, arguments, machine, peak_gb
 
 import rfpsurvey as rs
 from rfpsurvey.catalog import SkyIndex
@@ -32,7 +29,7 @@ POLE = SkyCoord(0 * u.deg, 90 * u.deg)
 
 def desi_tiles(most=None):
     """Return all real tiles, or the first tiles of each pass."""
-    tiling = rs.Tiling.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "desi_tiles_main.ecsv.gz")
+    tiling = rs.Tiling.read(TILES)
     return tiling if most is None else rs.Tiling(tiling.table[: int(most)])
 
 
@@ -56,11 +53,6 @@ def make_targets(tiling, n_targets, rng=1):
             dec.append(sky.coord.dec.deg[inside])
     ra, dec = np.concatenate(ra), np.concatenate(dec)
     return rs.Catalog(SkyCoord(ra * u.deg, dec * u.deg), visits=rng.integers(1, 5, len(ra)))
-
-
-def peak_gb():
-    """Return the maximum memory of this process so far."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
 
 
 def plan(targets, tiling, options, folder, *, progress=True):
@@ -116,18 +108,9 @@ def scale(options):
 
 
 def main():
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--targets", type=float, default=20e6)
-    parser.add_argument("--tiles", type=int)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--processes", action="store_true")
-    parser.add_argument("--partitions", type=Path, help="write the targets here first, and read them from there")
-    parser.add_argument("--allocator", default="nearest")
-    parser.add_argument("--folder", type=Path)
-    parser.add_argument("--plot", type=Path)
-    parser.add_argument("--scaling", action="store_true")
-    options = parser.parse_args()
-    print(f"{platform.machine()}, {os.cpu_count()} cores, Python {platform.python_version()}")
+    given = {"tiles": int, "processes": False, "partitions": Path, "allocator": "nearest", "folder": Path, "plot": Path}
+    options = arguments(__doc__, targets=20e6, workers=2, scaling=False, **given)
+    print(machine())
     few = rs.synthetic_catalog("uniform", POLE, 2 * u.deg, n_targets=1000, rng=1)
     rs.plan_survey(few, "desi", POLE.reshape(1), allocator=options.allocator)  # compile the kernels
     if options.scaling:

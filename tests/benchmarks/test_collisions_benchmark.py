@@ -15,6 +15,7 @@ from itertools import cycle
 import astropy.units as u
 import numpy as np
 import pytest
+from measure import hexagon
 
 import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
@@ -22,16 +23,14 @@ from rfpsurvey._kernels import collisions, reference
 from rfpsurvey.benchmark import random_tips
 from rfpsurvey.collision import place_arms
 
-GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 0.0, 25.6), "sdss": (7.4, 15.0, 2.5, 0.1, 22.4)}
+GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 25.6, 36), "sdss": (7.4, 15.0, 2.5, 22.4, 36, 0.1)}
 
 
 class Tile:
     """A focal plane, the poses of its arms, and arrays for results."""
 
     def __init__(self, name):
-        l1, l2, clearance, step, pitch = GEOMETRIES[name]
-        unit = rs.Positioner(l1 * u.mm, l2 * u.mm, clearance * u.mm, step=step * u.deg)
-        self.plane = rs.FocalPlane.hexagonal(unit, rings=36, pitch=pitch * u.mm)
+        self.plane = hexagon(*GEOMETRIES[name])
         rng = np.random.default_rng(1)
         many = [random_tips(self.plane, rng) * u.mm for _ in range(50)]
         self.tips = cycle(many)

@@ -7,10 +7,11 @@ import os
 
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
 
-from time import process_time
+from functools import partial
 
 import astropy.units as u
 import numpy as np
+from measure import alternated, in_circle
 
 import rfpsurvey as rs
 
@@ -20,10 +21,8 @@ N_RUNS = 5
 def scene(name, density, seed=3):
     """Return the focal plane of a preset, and targets that are uniform in a circle around it."""
     plane = rs.Instrument.preset(name).focal_plane
-    rng, n = np.random.default_rng(seed), int(density * len(plane))
     radius = np.hypot(*plane.xy.to_value(u.mm).T).max() + plane.arrays.outer_radius.max()
-    r, angle = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
-    return plane, np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * u.mm
+    return plane, in_circle(np.random.default_rng(seed), radius, int(density * len(plane)))
 
 
 def costs():
@@ -31,13 +30,9 @@ def costs():
     for name in ("lamost", "sdss_apo", "moons", "pfs", "desi"):
         for density in (1, 2, 5):
             plane, xy = scene(name, density)
-            times = {None: [], 0: []}
-            for _ in range(N_RUNS + 1):
-                for seed, found in times.items():
-                    begin = process_time()
-                    rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", subpriority=seed))
-                    found.append(1e3 * (process_time() - begin))
-            hashed, exact = (np.median(found[1:]) for found in times.values())
+            options = [rs.AllocationOptions("optimal", subpriority=seed) for seed in (None, 0)]
+            times = alternated([partial(rs.allocate, plane, xy, allocator=one) for one in options], N_RUNS)
+            hashed, exact = 1e3 * np.median(times, axis=0)
             print(
                 f"  {name:<9} {density} targets per positioner: {hashed:6.0f} {exact:6.0f}, ratio {exact / hashed:.1f}"
             )

@@ -10,6 +10,7 @@ from time import perf_counter
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
+from measure import timed
 
 import rfpsurvey as rs
 from rfpsurvey.instrument import as_instrument
@@ -23,9 +24,7 @@ RADIUS, SEPARATION = 1.49 * u.deg, 55 * u.arcsec
 
 def place(*arguments, **options):
     """Place tiles, and return them and the time in seconds."""
-    begin = perf_counter()
-    tiling = rs.place_tiles(*arguments, **options)
-    return tiling, perf_counter() - begin
+    return timed(rs.place_tiles, *arguments, **options, clock=perf_counter)
 
 
 def promises(name):

@@ -55,7 +55,6 @@ def row_of(table, instrument, allocator):
     return row
 
 
-@pytest.mark.few(1)
 @pytest.mark.parametrize("allocator", ["lamost_rule", "optimal"])
 def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     row, mine = row_of(table, "mine", allocator), design()
@@ -63,24 +62,19 @@ def test_the_rows_are_means_of_tiles(table, sky, centers, allocator):
     summaries = [tile.summary for tile in tiles]
     usable = [np.sum((t.table["status"] == "assigned") & ~t.table["in_collision"]) for t in tiles]
     assert row["targets"] == np.mean([s["n_reachable"] for s in summaries])
-    assert row["assigned"] == np.mean([s["n_assigned"] for s in summaries])
-    assert row["usable"] == np.mean(usable)
+    assert (row["assigned"], row["usable"]) == (np.mean([s["n_assigned"] for s in summaries]), np.mean(usable))
     # the arms have different lengths, so that positioners without a target are not counted
-    assert row["probability"] == pytest.approx(
-        sum(s["n_colliding"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
-    )
-    assert row["pairs_per_positioner"] == pytest.approx(
-        sum(s["n_colliding_pairs"] for s in summaries) / sum(s["n_assigned"] for s in summaries)
-    )
+    sums = {name: sum(s[name] for s in summaries) for name in ("n_colliding", "n_colliding_pairs", "n_assigned")}
+    assert row["probability"] == pytest.approx(sums["n_colliding"] / sums["n_assigned"])
+    assert row["pairs_per_positioner"] == pytest.approx(sums["n_colliding_pairs"] / sums["n_assigned"])
     if allocator == "lamost_rule":
         assert 0 < row["low"] < row["probability"] < row["high"] < 1
     else:
         assert row["low"] == row["probability"] == row["high"] == row["gap"] == 0
     radius = 2 * np.sin(mine.field_radius.to_value(u.rad) / 2)
     assert row["usable_per_solid_angle"].to_value(u.sr**-1) == pytest.approx(np.mean(usable) / (np.pi * radius**2))
-    assert row["usable_per_area"].to_value(MM**-2) == pytest.approx(
-        np.mean(usable) / (3 * np.sqrt(3) / 2 * (4 * 25.0) ** 2)
-    )
+    area = 3 * np.sqrt(3) / 2 * (4 * 25.0) ** 2
+    assert row["usable_per_area"].to_value(MM**-2) == pytest.approx(np.mean(usable) / area)
 
 
 def test_the_loss_is_against_a_maximum_matching(table, sky, centers):
@@ -100,20 +94,17 @@ def test_parked_arms_count_where_arms_are_equal(table, sky, centers):
     tiles = [rs.plan_tile(sky, wide, center, allocator="lamost_rule").summary for center in centers]
     assert sum(t["n_parked"] for t in tiles) > 0
     counted = sum(t["n_assigned"] + t["n_parked"] for t in tiles)
-    assert row_of(table, "wide", "lamost_rule")["probability"] == pytest.approx(
-        sum(t["n_colliding"] for t in tiles) / counted
-    )
+    found = row_of(table, "wide", "lamost_rule")["probability"]
+    assert found == pytest.approx(sum(t["n_colliding"] for t in tiles) / counted)
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(("name", "kind"), [("lamost", 2), ("moons", 3), ("desi", 2)])
+@pytest.mark.parametrize(("name", "kind"), [("moons", 3), ("desi", 2)])
 def test_what_instruments_are(name, kind):
     found = rs.compare_instruments("uniform", [name], n_realizations=1, allocators="nearest")[0]
     plane = rs.Instrument.preset(name).focal_plane
     pitch = np.median(cKDTree(plane.xy.value).query(plane.xy.value, k=2)[0][:, 1])
     cell = np.sqrt(3) / 2 * pitch**2
-    assert found["positioners"] == len(plane)
-    assert found["type"] == kind
+    assert (found["positioners"], found["type"]) == (len(plane), kind)
     arms = plane.positioner.central_arm.value * plane.positioner.eccentric_arm.value
     # the footprint ends at the outermost centers, and some cells have no positioner
     assert found["multiplicity"] == pytest.approx(4 * np.pi * arms / cell, rel=0.06)
@@ -123,18 +114,14 @@ def test_what_instruments_are(name, kind):
 
 @pytest.mark.exhaustive
 def test_synthetic_skies_are_as_crowded_as_asked():
-    mine = design(rings=6)
+    mine, options = design(rings=6), {"n_realizations": 20, "allocators": "nearest", "rng": 3}
     reach = unary_union([Point(c).buffer(25.0, 64) - Point(c).buffer(9.0, 64) for c in mine.focal_plane.xy.value])
     for kind in ("uniform", "poisson"):
-        found = rs.compare_instruments(
-            kind, mine, targets_per_positioner=30.0, n_realizations=20, allocators="nearest", rng=3
-        )
+        found = rs.compare_instruments(kind, mine, targets_per_positioner=30.0, **options)
         expected = 30.0 * len(mine.focal_plane) / mine.focal_plane.footprint.value * reach.area
         assert found["targets"][0] == pytest.approx(expected, abs=5 * np.sqrt(expected / 20))
         assert "expected number of targets in the footprint, per positioner, is the same" in found.meta["comparable"]
-    found = rs.compare_instruments(
-        "poisson", mine, density=2000 / u.deg**2, n_realizations=20, allocators="nearest", rng=3
-    )
+    found = rs.compare_instruments("poisson", mine, density=2000 / u.deg**2, **options)
     expected = 2000 * reach.area / 3600
     assert found["targets"][0] == pytest.approx(expected, abs=5 * np.sqrt(expected / 20))
     assert found.meta["density_per_deg2"] == 2000
@@ -164,8 +151,7 @@ def test_an_instrument_has_the_same_skies_whatever_it_is_compared_with():
         assert alone[name][0] == among[name][1]
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("name", ["pfs", "desi", "sdss_apo"])
+@pytest.mark.parametrize("name", ["pfs", "sdss_apo"])
 def test_the_footprint_holds_as_many_targets_as_asked_though_optics_distort(name):
     model = rs.Instrument.preset(name)
     each = 1e5 / len(model.focal_plane)
@@ -180,9 +166,8 @@ class Copies(Executor):
     """An executor that copies the work and the tasks, as processes do."""
 
     def map(self, work, *tasks):
-        return [
-            pickle.loads(pickle.dumps(work))(*pickle.loads(pickle.dumps(task))) for task in zip(*tasks, strict=True)
-        ]
+        work, tasks = pickle.dumps(work), [pickle.dumps(task) for task in zip(*tasks, strict=True)]
+        return [pickle.loads(work)(*pickle.loads(task)) for task in tasks]
 
 
 class Picky:
@@ -213,33 +198,18 @@ def test_what_cannot_be_compared_is_said_before_any_work_is_done():
         rs.compare_instruments("poisson", [design(), flat], allocators=[never])
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    "compare",
-    [
-        lambda options: rs.compare_instruments(
-            "poisson",
-            [design(), design("wide")],
-            options=options,
-            n_realizations=2,
-            allocators=["lamost_rule", "nearest"],
-        ),
-        lambda options: rs.compare_allocators(
-            rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1),
-            "moons",
-            CENTER,
-            options=options,
-            allocators=["lamost_rule", "nearest"],
-        ),
-    ],
-)
-def test_an_option_without_an_effect_is_warned_of_once(compare):
+def test_an_option_without_an_effect_is_warned_of_once():
     """Regression: the warning was repeated for each field and each allocator."""
-    options = rs.AllocationOptions(sky_separation=10 * u.arcsec)
-    with warnings.catch_warnings(record=True) as told:
-        warnings.simplefilter("always")
-        compare(options)
-    assert [str(one.message).partition(" because")[0] for one in told] == ["sky_separation has no effect"]
+    options = {"options": rs.AllocationOptions(sky_separation=10 * u.arcsec), "allocators": ["lamost_rule", "nearest"]}
+    few = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=200, rng=1)
+    for compare, *given, more in (
+        (rs.compare_instruments, "poisson", [design(), design("wide")], {"n_realizations": 2}),
+        (rs.compare_allocators, few, "moons", CENTER, {}),
+    ):
+        with warnings.catch_warnings(record=True) as told:
+            warnings.simplefilter("always")
+            compare(*given, **options, **more)
+        assert [str(one.message).partition(" because")[0] for one in told] == ["sky_separation has no effect"]
 
 
 def test_the_interval_of_positioners_that_have_no_neighbors_is_that_of_independent_trials():
@@ -271,41 +241,35 @@ def test_the_interval_of_positioners_that_collide_in_pairs_is_that_of_half_as_ma
     assert np.isnan(rate_interval(plane, [np.full(400, np.nan)], 0.9)).all()
 
 
-@pytest.mark.few(3)
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"instruments": []}, "instruments must contain at least one instrument, got none"),
-        (
-            {"instruments": ["lamost", "lamost"]},
-            "must have different names, got several instruments with the name 'lamost'",
-        ),
-        ({"instruments": ["lamost", "most"]}, "unknown instrument 'most'"),
-        ({"instruments": [5]}, "the name of a preset or the path of a TOML file, got 5"),
-        ({"instruments": ["none.toml"]}, "none.toml"),
-        ({"catalog": "clustered"}, "unknown kind of synthetic sky 'clustered'"),
-        ({"allocators": []}, "allocators must name at least one allocator, got none"),
-        ({"allocators": ["best"]}, "unknown allocator 'best'"),
-        ({"allocator": "lamost_rule"}, "must be given as allocators=, got the argument allocator"),
-        ({"targets_per_positioner": -1}, "targets_per_positioner must be a positive number, got -1"),
-        ({"n_realizations": 0}, "n_realizations must be a whole number from 1 to 1000000, got 0"),
-        ({"density": 5}, "density must be a Quantity"),
-        ({"catalog": CENTER.reshape(1), "n_realizations": 2}, "n_realizations cannot be used with a catalog"),
-        ({"catalog": CENTER.reshape(1), "targets_per_positioner": 2}, "targets_per_positioner cannot be used"),
-        ({"density": 5 / u.deg**2, "targets_per_positioner": 2}, "targets_per_positioner or density, not both"),
-        ({"density": -5 / u.deg**2}, "density must be one finite value above 0"),
-        (
-            {"catalog": CENTER.reshape(1), "center": 5},
-            "center must be a SkyCoord with one direction or a list .* got 5",
-        ),
-        ({"catalog": CENTER.reshape(1), "center": "here"}, "center must be coordinates such as .* got 'here'"),
-        ({"catalog": CENTER.reshape(1)[:0]}, "at least one target with finite coordinates, got none"),
-        ({"catalog": CENTER.reshape(1), "center": SkyCoord("5h +5d")}, "mine: no target lies within"),
-    ],
-)
-def test_bad_input_is_named(arguments, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.compare_instruments(**{"instruments": [design()], **arguments})
+STAR = {"catalog": CENTER.reshape(1)}
+BAD = {
+    "instruments must contain at least one instrument, got none": {"instruments": []},
+    "must have different names, got several instruments with the name 'lamost'": {"instruments": ["lamost"] * 2},
+    "unknown instrument 'most'": {"instruments": ["lamost", "most"]},
+    "the name of a preset or the path of a TOML file, got 5": {"instruments": [5]},
+    "none.toml": {"instruments": ["none.toml"]},
+    "unknown kind of synthetic sky 'clustered'": {"catalog": "clustered"},
+    "allocators must name at least one allocator, got none": {"allocators": []},
+    "unknown allocator 'best'": {"allocators": ["best"]},
+    "must be given as allocators=, got the argument allocator": {"allocator": "lamost_rule"},
+    "targets_per_positioner must be a positive number, got -1": {"targets_per_positioner": -1},
+    "n_realizations must be a whole number from 1 to 1000000, got 0": {"n_realizations": 0},
+    "density must be a Quantity": {"density": 5},
+    "n_realizations cannot be used with a catalog": {**STAR, "n_realizations": 2},
+    "targets_per_positioner cannot be used": {**STAR, "targets_per_positioner": 2},
+    "targets_per_positioner or density, not both": {"density": 5 / u.deg**2, "targets_per_positioner": 2},
+    "density must be one finite value above 0": {"density": -5 / u.deg**2},
+    "center must be a SkyCoord with one direction or a list .* got 5": {**STAR, "center": 5},
+    "center must be coordinates such as .* got 'here'": {**STAR, "center": "here"},
+    "at least one target with finite coordinates, got none": {"catalog": CENTER.reshape(1)[:0]},
+    "mine: no target lies within": {**STAR, "center": SkyCoord("5h +5d")},
+}
+
+
+def test_bad_input_is_named():
+    for message, arguments in BAD.items():
+        with pytest.raises(rs.InputError, match=message):
+            rs.compare_instruments(**{"instruments": [design()], **arguments})
 
 
 def test_names_are_told_apart_by_the_user():
@@ -320,8 +284,7 @@ def test_chart(table):
     widths = np.array([bar.get_width() for bar in bars]).reshape(3, -1)
     np.testing.assert_allclose(widths.sum(axis=0), 1)
     np.testing.assert_allclose(widths[0], table["usable"] / table["positioners"])
-    assert {bar.get_height() for bar in bars} == {0.5}
-    assert ax.get_yticklabels()[0].get_text() == "mine, lamost_rule"
+    assert ({bar.get_height() for bar in bars}, ax.get_yticklabels()[0].get_text()) == ({0.5}, "mine, lamost_rule")
     assert "hatch" in bars[len(table)].properties()
     assert bars[len(table)].get_hatch()
     assert f"{table['loss'][0]:.3f}" in {t.get_text() for t in ax.texts}
@@ -344,20 +307,9 @@ def test_command(run, tmp_path):
     (tmp_path / "short.toml").write_text(text.replace("value = 8.25", "value = 7.5"))
     shutil.copy(presets / "sdss_apo.toml", tmp_path / "robots.toml")
     output, plot = tmp_path / "table.ecsv", tmp_path / "chart.png"
-    code, out, err = run(
-        "compare",
-        tmp_path / "short.toml",
-        tmp_path / "robots.toml",
-        "pfs",
-        "--n-realizations",
-        1,
-        "--targets-per-positioner",
-        0.5,
-        "--output",
-        output,
-        "--plot",
-        plot,
-    )
+    models = tmp_path / "short.toml", tmp_path / "robots.toml", "pfs"
+    words = "--n-realizations", 1, "--targets-per-positioner", 0.5, "--output", output, "--plot", plot
+    code, out, err = run("compare", *models, *words)
     assert (code, err) == (0, "")
     table = QTable.read(output)
     assert list(dict.fromkeys(table["instrument"])) == ["short", "sdss_apo", "pfs"]

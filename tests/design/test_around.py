@@ -11,6 +11,7 @@ import rfpsurvey as rs
 
 MM = u.mm
 LAMOST = (8.25, 1.0, 25.6, 2.25)
+ROW = "one row for the design of an instrument"
 AXES = ("central_arm", "ratio", "pitch", "clearance")
 
 
@@ -35,8 +36,7 @@ def test_the_grid_is_around_the_instrument_and_holds_it_once(lamost):
         nodes = [value] if name == "clearance" else value * np.array([0.9, 1, 1.1])
         np.testing.assert_allclose(np.unique(lamost[name]).value if name != "ratio" else np.unique(lamost[name]), nodes)
     again = rs.design.explore_designs(central_arm=8.25 * MM, ratio=1, pitch=25.6 * MM, clearance=2.25 * MM)
-    assert own_row(lamost)["loss"] == again["loss"][0]
-    assert own_row(lamost)["coverage"] == again["coverage"][0]
+    assert (own_row(lamost)["loss"], own_row(lamost)["coverage"]) == (again["loss"][0], again["coverage"][0])
 
 
 def test_an_instrument_off_the_grid_is_added_as_the_last_row():
@@ -44,9 +44,7 @@ def test_an_instrument_off_the_grid_is_added_as_the_last_row():
     plain = rs.design.explore_designs(
         central_arm=8 * MM, ratio=[0.85, 1.15], pitch=[26, 30] * MM, clearance=2.25 * MM, n_designs=8, rng=3
     )
-    assert len(table) == 9
-    assert table["instrument"].tolist() == [*[""] * 8, "lamost"]
-    assert design_of(table[-1]) == LAMOST
+    assert (len(table), table["instrument"].tolist(), design_of(table[-1])) == (9, [*[""] * 8, "lamost"], LAMOST)
     np.testing.assert_array_equal(table["loss"][:8], plain["loss"])
 
 
@@ -74,15 +72,13 @@ def test_improvements_are_those_of_a_search_of_all_designs(lamost):
     assert found["objective"].tolist() == ["coverage", "loss"]
     best = min(row["loss"] for row in lamost if row["coverage"] >= own["coverage"])
     widest = max(row["coverage"] for row in lamost if row["loss"] <= own["loss"])
-    assert found["best"].tolist() == [widest, best]
-    assert found["value"].tolist() == [own["coverage"], own["loss"]]
+    assert (found["best"].tolist(), found["value"].tolist()) == ([widest, best], [own["coverage"], own["loss"]])
     np.testing.assert_allclose(found["change"], [widest - own["coverage"], best - own["loss"]])
     assert found["change"][0] == 0
     assert found["change"][1] < -0.05
     assert design_of(found[0]) == LAMOST
     (row,) = lamost[(lamost["loss"] == best)]
-    assert design_of(row) == design_of(found[1])
-    assert found["other"][1] == row["coverage"]
+    assert (design_of(row), found["other"][1]) == (design_of(found[1]), row["coverage"])
 
 
 def test_an_instrument_on_the_front_has_no_improvement():
@@ -112,9 +108,8 @@ def test_a_scan_around_an_instrument_continues_and_can_be_read(tmp_path, ending)
     read = QTable.read(path)
     assert len(rs.plot.plot_designs(first).texts) == 1
     if ending == "ecsv":
-        assert rs.design.design_improvements(read)["best"].tolist() == (
-            rs.design.design_improvements(first)["best"].tolist()
-        )
+        found, expected = (rs.design.design_improvements(one)["best"].tolist() for one in (read, first))
+        assert found == expected
     with pytest.raises(rs.InputError, match="holds another scan: .*start"):
         rs.design.explore_around("pfs", **options, resume=True)
 
@@ -136,14 +131,8 @@ def test_what_cannot_be_a_scan_is_refused(lamost, small):
         (lambda: rs.design.explore_around("lamost", n_nodes=1), "n_nodes must be a whole number from 2 to 1000, got 1"),
         (lambda: rs.design.explore_around("lamost", pich=3), "unknown parameter of explore_designs 'pich'.*'pitch'"),
         (lambda: rs.design.design_improvements("t"), "must be a table that explore_around returned"),
-        (
-            lambda: rs.design.design_improvements(lamost[lamost["instrument"] == ""]),
-            "one row for the design of an instrument, got 0",
-        ),
-        (
-            lambda: rs.design.design_improvements(vstack([lamost, lamost])),
-            "one row for the design of an instrument, got 2",
-        ),
+        (lambda: rs.design.design_improvements(lamost[lamost["instrument"] == ""]), f"{ROW}, got 0"),
+        (lambda: rs.design.design_improvements(vstack([lamost, lamost])), f"{ROW}, got 2"),
     ):
         with pytest.raises(rs.InputError, match=words):
             call()

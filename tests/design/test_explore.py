@@ -4,6 +4,7 @@ checkpoints.
 
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from dataclasses import replace
+from itertools import product
 from multiprocessing import get_context
 
 import astropy.units as u
@@ -30,9 +31,7 @@ def explore(**changes):
     return flat.explore_designs(**{**LAMOST, **changes})
 
 
-@pytest.mark.parametrize(
-    ("central_arm", "eccentric_arm"), [(8.25, 8.25), (8.0, 17.0), (5.0, 14.0), (3.0, 3.0), (9.0, 12.0)]
-)
+@pytest.mark.parametrize(("central_arm", "eccentric_arm"), [(8.25, 8.25), (8.0, 17.0), (3.0, 3.0)])
 def test_coverage_is_that_of_an_exact_overlay_of_a_cell(central_arm, eccentric_arm):
     row = explore(central_arm=central_arm * MM, ratio=eccentric_arm / central_arm)[0]
     plane = rs.FocalPlane.hexagonal(
@@ -42,8 +41,7 @@ def test_coverage_is_that_of_an_exact_overlay_of_a_cell(central_arm, eccentric_a
     truth = annuli_coverage(plane, np.column_stack([corners.real, corners.imag]))
     got = [row[f"reach_{k}"] for k in range(4)]
     np.testing.assert_allclose(got, [*truth[:3], truth[3:].sum()], atol=3e-4)
-    assert sum(got) == pytest.approx(1)
-    assert row["coverage"] == pytest.approx(1 - got[0])
+    assert (sum(got), row["coverage"]) == (pytest.approx(1), pytest.approx(1 - got[0]))
     assert row["multiplicity"] == pytest.approx(truth @ np.arange(len(truth)), abs=1e-3)
 
 
@@ -84,7 +82,7 @@ def test_independent_losses_are_probabilities_in_the_middle_of_a_large_array():
 
 
 @pytest.mark.exhaustive
-@pytest.mark.parametrize("each", [0.5, 4])
+@pytest.mark.parametrize("each", [0.5])
 def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, each):
     """Compare with one configuration for each sky. Parked arms are obstacles, but lose no target."""
     row = explore(central_arm=11 * MM, estimand="allocated", n_skies=200, targets_per_positioner=each)[0]
@@ -96,9 +94,8 @@ def test_allocated_losses_are_those_of_a_plain_simulation_of_a_large_array(rng, 
     for counts in lost:
         n = rng.poisson(each * np.pi * radius**2 / (np.sqrt(3) / 2 * 25.6**2))
         r, alpha = radius * np.sqrt(rng.random(n)), rng.uniform(0, 2 * np.pi, n)
-        plan = rs.allocate(
-            plane, np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM, rng=rng, allocator="balanced"
-        )
+        xy = np.column_stack([r * np.cos(alpha), r * np.sin(alpha)]) * MM
+        plan = rs.allocate(plane, xy, rng=rng, allocator="balanced")
         assigned = middle & (plan.target_of_positioner >= 0)
         counts[:] = assigned.sum(), rs.find_collisions(plane, plan).in_collision[assigned].sum()
     truth = lost[:, 1].sum() / lost[:, 0].sum()
@@ -119,26 +116,18 @@ def test_collision_free_losses_are_counted_in_two_plans():
     alone = explore(central_arm=4 * MM, estimand="collision_free", n_skies=40, targets_per_positioner=1)[0]
     assert alone["multiplicity"] < 1
     assert alone["assigned"] == pytest.approx(1 - alone["empty"], abs=0.03)
-    best, repaired = (
-        explore(ratio=1.5, pitch=24.6 * MM, method=m, targets_per_positioner=1, n_skies=4)[0]
-        for m in ("optimal", "repair")
-    )
+    options = {"ratio": 1.5, "pitch": 24.6 * MM, "targets_per_positioner": 1, "n_skies": 4}
+    best, repaired = (explore(method=name, **options)[0] for name in ("optimal", "repair"))
     assert best["assigned"] == repaired["assigned"]
     assert 0 < best["loss"] < repaired["loss"]
     assert best["usable"] == pytest.approx(best["assigned"] * (1 - best["loss"]))
 
 
 def test_searches_that_are_cut_short_are_counted():
-    design = {
-        "central_arm": 14 * MM,
-        "ratio": 1.6,
-        "estimand": "collision_free",
-        "targets_per_positioner": 1,
-        "n_skies": 2,
-    }
-    with pytest.warns(
-        rs.RfpsurveyWarning, match="ended searches for 1 of 1 designs; the true loss of these designs can be smaller"
-    ):
+    design = {"central_arm": 14 * MM, "ratio": 1.6, "estimand": "collision_free", "n_skies": 2}
+    design["targets_per_positioner"] = 1
+    words = "ended searches for 1 of 1 designs; the true loss of these designs can be smaller"
+    with pytest.warns(rs.RfpsurveyWarning, match=words):
         row = explore(**design, time_limit=1 * u.ms)[0]
     assert row["n_unproven"] == 2
     assert 0 < row["loss_gap"] < 1
@@ -177,9 +166,8 @@ def test_targets_by_area_leave_more_to_each_fiber_of_a_wide_pitch():
 
 def test_a_grid_has_all_combinations_and_sobol_points_fill_the_box():
     grid = flat.explore_designs(**GRID)
-    assert {
-        tuple(map(float, d)) for d in zip(grid["central_arm"].value, grid["ratio"], grid["pitch"].value, strict=True)
-    } == {(a, b, c) for a in (7.25, 9) for b in (1, 1.8) for c in (25.6, 31)}
+    designs = zip(grid["central_arm"].value, grid["ratio"], grid["pitch"].value, strict=True)
+    assert {tuple(map(float, one)) for one in designs} == {*product((7.25, 9), (1, 1.8), (25.6, 31))}
     more, fewer = (flat.explore_designs(**GRID, n_designs=n, rng=3) for n in (64, 40))
     assert (fewer["loss"] == more["loss"][:40]).all()
     for name, (low, high) in {"central_arm": (7.25, 9), "ratio": (1, 1.8), "pitch": (25.6, 31)}.items():
@@ -201,26 +189,20 @@ def test_the_front_is_what_no_row_beats(rows, largest):
 
 
 def test_objectives_can_be_chosen_and_rows_without_figures_are_not_on_the_front():
-    with pytest.warns(
-        rs.RfpsurveyWarning,
-        match=r"1 of 3 designs have no values; .* such as: the centers of neighboring positioners are closer than",
-    ):
+    reason = "the centers of neighboring positioners are closer than the minimum separation"
+    with pytest.warns(rs.RfpsurveyWarning, match=f"1 of 3 designs have no values; .* such as: {reason}"):
         table = explore(pitch=[4, 25.6, 30] * MM, objectives={"usable_per_area": "max", "loss": "min"})
-    assert table["reason"].tolist() == [
-        "the centers of neighboring positioners are closer than the minimum separation",
-        "",
-        "",
-    ]
+    assert table["reason"].tolist() == [reason, "", ""]
     assert np.isnan(table["loss"][0])
     assert table["pareto"].tolist() == [False, True, True]
-    with pytest.warns(rs.RfpsurveyWarning, match="the reach of the arms exceeds 4 times the pitch"):
-        assert np.isnan(explore(ratio=20)["coverage"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="outside the range of the method 'surrogate'"):
-        assert np.isnan(explore(ratio=3.2, method="surrogate")["loss"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="the number of targets per positioner exceeds 1000"):
-        assert np.isnan(explore(target_density=2 / MM**2)["loss"][0])
-    with pytest.warns(rs.RfpsurveyWarning, match="no fiber has a target"):
-        assert np.isnan(explore(estimand="allocated", targets_per_positioner=1e-9)["loss"][0])
+    for words, column, options in (
+        ("the reach of the arms exceeds 4 times the pitch", "coverage", {"ratio": 20}),
+        ("outside the range of the method 'surrogate'", "loss", {"ratio": 3.2, "method": "surrogate"}),
+        ("the number of targets per positioner exceeds 1000", "loss", {"target_density": 2 / MM**2}),
+        ("no fiber has a target", "loss", {"estimand": "allocated", "targets_per_positioner": 1e-9}),
+    ):
+        with pytest.warns(rs.RfpsurveyWarning, match=words):
+            assert np.isnan(explore(**options)[column][0])
 
 
 def test_each_design_has_random_numbers_of_its_own():
@@ -232,16 +214,15 @@ def test_each_design_has_random_numbers_of_its_own():
     assert (task(2, same[2:]) == rows[2:]).all()
 
 
-@pytest.mark.parametrize("processes", [False, pytest.param(True, marks=pytest.mark.exhaustive)])
-def test_nothing_depends_on_the_executor(processes):
+def test_nothing_depends_on_the_executor():
     options = {**GRID, "n_designs": 12, "estimand": "allocated", "n_skies": 2}
     alone = flat.explore_designs(**options)
-    with ProcessPoolExecutor(1, get_context("spawn")) if processes else ThreadPoolExecutor(2) as pool:
-        assert (flat.explore_designs(executor=pool, **options) == alone).all()
+    for pool in (ProcessPoolExecutor(1, get_context("spawn")), ThreadPoolExecutor(2)):
+        with pool:
+            assert (flat.explore_designs(executor=pool, **options) == alone).all()
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("ending", ["ecsv", "fits"])
+@pytest.mark.parametrize("ending", ["ecsv", pytest.param("fits", marks=pytest.mark.exhaustive)])
 def test_a_scan_that_was_stopped_ends_with_the_same_bytes(tmp_path, monkeypatch, ending):
     """The file always contains the finished designs, and a resumed scan does not repeat them."""
     options = {**GRID, "n_designs": 30, "rng": 5}
@@ -303,41 +284,41 @@ def test_a_scan_by_other_software_is_continued_with_a_warning(tmp_path):
         explore(path=path, resume=True)
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"central_arm": 8.25}, "central_arm must be a Quantity"),
-        ({"central_arm": [8, -1] * MM}, "central_arm must be finite and above 0, got -1"),
-        ({"pitch": [[25, 26]] * MM}, r"pitch must be one value or a one-dimensional array, got the shape \(1, 2\)"),
-        ({"clearance": np.nan * MM}, "clearance must be finite and at least 0, got nan"),
-        ({"ratio": "two"}, "ratio .* must be one or several numbers"),
-        ({"ratio": [1, 1]}, "the values of ratio must differ from each other"),
-        ({"ratio": [1, 2, 3], "n_designs": 8}, r"ratio must be one value or two limits \(low, high\)"),
-        ({"ratio": [2, 1], "n_designs": 8}, "ratio must be one value or two limits"),
-        ({"n_designs": 0}, "n_designs must be a whole number from 1"),
-        ({"ratio": np.arange(1, 9999), "pitch": np.arange(1, 9999) * MM}, "a grid must have at most 1e.07 designs"),
-        ({"estimand": "optimal"}, "unknown estimand 'optimal'"),
-        ({"method": "best"}, "unknown method of design studies 'best'"),
-        (
-            {"method": "optimal", "estimand": "allocated"},
-            "must be 'collision_free' for the method 'optimal', got 'allocated'",
-        ),
-        ({"targets_per_positioner": 0}, "targets_per_positioner must be a number above 0"),
-        ({"target_density": 1 / MM**2, "targets_per_positioner": 4}, "but not both"),
-        ({"target_density": 1 * MM}, "target_density must have a unit convertible to"),
-        ({"n_skies": 1}, "n_skies must be a whole number of at least 2"),
-        ({"time_limit": 0 * u.s}, "time_limit must be one finite value above 0"),
-        ({"objectives": {"loss": "min"}}, "objectives must be two columns"),
-        ({"objectives": {"loss": "min", "color": "max"}}, "unknown column for an objective 'color'"),
-        ({"objectives": {"loss": "least", "coverage": "max"}}, "unknown direction of loss 'least'"),
-        ({"executor": 2}, "executor must be a concurrent.futures.Executor"),
-        ({"resume": True}, "resume requires the path"),
-        ({"path": "scan.csv"}, "must end in .fits or .ecsv"),
-    ],
-)
-def test_bad_input_is_a_sentence(change, words):
-    with pytest.raises(rs.InputError, match=words):
-        explore(**change)
+BAD = {
+    "central_arm must be a Quantity": {"central_arm": 8.25},
+    "central_arm must be finite and above 0, got -1": {"central_arm": [8, -1] * MM},
+    r"pitch must be one value or a one-dimensional array, got the shape \(1, 2\)": {"pitch": [[25, 26]] * MM},
+    "clearance must be finite and at least 0, got nan": {"clearance": np.nan * MM},
+    "ratio .* must be one or several numbers": {"ratio": "two"},
+    "the values of ratio must differ from each other": {"ratio": [1, 1]},
+    r"ratio must be one value or two limits \(low, high\)": {"ratio": [1, 2, 3], "n_designs": 8},
+    "ratio must be one value or two limits": {"ratio": [2, 1], "n_designs": 8},
+    "n_designs must be a whole number from 1": {"n_designs": 0},
+    "a grid must have at most 1e.07 designs": {"ratio": np.arange(1, 9999), "pitch": np.arange(1, 9999) * MM},
+    "unknown estimand 'optimal'": {"estimand": "optimal"},
+    "unknown method of design studies 'best'": {"method": "best"},
+    "must be 'collision_free' for the method 'optimal', got 'allocated'": {
+        "method": "optimal",
+        "estimand": "allocated",
+    },
+    "targets_per_positioner must be a number above 0": {"targets_per_positioner": 0},
+    "but not both": {"target_density": 1 / MM**2, "targets_per_positioner": 4},
+    "target_density must have a unit convertible to": {"target_density": 1 * MM},
+    "n_skies must be a whole number of at least 2": {"n_skies": 1},
+    "time_limit must be one finite value above 0": {"time_limit": 0 * u.s},
+    "objectives must be two columns": {"objectives": {"loss": "min"}},
+    "unknown column for an objective 'color'": {"objectives": {"loss": "min", "color": "max"}},
+    "unknown direction of loss 'least'": {"objectives": {"loss": "least", "coverage": "max"}},
+    "executor must be a concurrent.futures.Executor": {"executor": 2},
+    "resume requires the path": {"resume": True},
+    "must end in .fits or .ecsv": {"path": "scan.csv"},
+}
+
+
+def test_bad_input_is_a_sentence():
+    for words, change in BAD.items():
+        with pytest.raises(rs.InputError, match=words):
+            explore(**change)
 
 
 def scan(figure, **axes):
@@ -371,19 +352,16 @@ def test_shares_and_slopes_of_known_functions():
     assert np.isnan(flat["share"]).all()
 
 
-@pytest.mark.parametrize(
-    ("table", "words"),
-    [
+def test_sensitivities_that_make_no_sense_are_refused():
+    for table, words in (
         (5, "must be a table that explore_designs returned"),
         (scan(lambda a, b, c, d: a), "at least one of central_arm, ratio, pitch and clearance must vary"),
         (scan(lambda a, b, c, d: a, central_arm=[1.0, 2.0]), "more than 2 designs with values, got 2"),
-    ],
-)
-def test_sensitivities_that_make_no_sense_are_refused(table, words):
-    with pytest.raises(rs.InputError, match=words):
-        rs.design.design_sensitivities(table, figures=["loss"])
-    with pytest.raises(rs.InputError, match=r"unknown column of designs|must be a table that"):
-        rs.design.design_sensitivities(table, figures=["reason"])
+    ):
+        with pytest.raises(rs.InputError, match=words):
+            rs.design.design_sensitivities(table, figures=["loss"])
+        with pytest.raises(rs.InputError, match=r"unknown column of designs|must be a table that"):
+            rs.design.design_sensitivities(table, figures=["reason"])
 
 
 def test_few_fibers_without_a_loss_are_no_proof_of_none():

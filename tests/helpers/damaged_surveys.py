@@ -257,7 +257,11 @@ WRONG_EVENTS = {
     "an added tile without a place": {"row": 6, "tile": "17", "state": "added", "place": [1]},
 }
 DAMAGES = {
-    **{f"{name}: {words}": on(name, change) for name in FILES for words, change in CHANGES.items()},
+    **{
+        f"{name}: {words}": on(name, change)
+        for words, change in CHANGES.items()
+        for name in (FILES if words in ("cut", "one bit", "missing") else ("observed tile", "first event", "index"))
+    },
     "planned tile: that of another tile": exchanged("planned tile", "tiles/000/000004.fits"),
     "observed tile: that of another tile": exchanged("observed tile", "planned tile"),
     "kept plan: that of another tile": exchanged("kept plan", "planned tile"),

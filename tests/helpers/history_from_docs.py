@@ -109,8 +109,9 @@ class DocumentedHistory:
         if not date and self._last_before(valid[-1]) and len({*possible}) > 1:
             is_clear = False
         plan = valid[-1].plans.get(tile) if is_clear else None
-        if targets is not None and (plan is None or plan.targets != targets):
-            plan = [plan, *(other for other in possible if other.targets == targets)][-1]
+        if targets is not None and (plan is None or not plan.targets <= targets):
+            # not documented: a plan with only some of these targets also counts, and the table is then refused
+            plan = [plan, *(other for other in possible if other.targets <= targets)][-1]
         return plan if plan in possible else None
 
     def _last_before(self, generation):
@@ -134,7 +135,9 @@ class DocumentedHistory:
     def observe(self, report):
         """Record an observation; return whether it was not known."""
         before = self.observations.get((report.tile, report.date))
-        if report.plan is None or (before is None and (not report.state or self.state_of(report.tile) == "observed")):
+        if report.plan is None or any(name < 0 for name, _ in report.visits):
+            return None
+        if before is None and (not report.state or self.state_of(report.tile) == "observed"):
             return None
         return False if before is not None and before.states(report) else self.record("observe", report)
 
@@ -204,9 +207,9 @@ class DocumentedHistory:
             return False
         if not {positioner for positioner, _ in report.visits} <= {visit[0] for visit in report.plan.visits}:
             return False
-        if report.date > self.dropped_tiles.get(report.tile, report.date):
-            del self.dropped_tiles[report.tile]
         order = report.date or max((date for _, date in self.observations), default=""), not report.date
+        if order[0] > self.dropped_tiles.get(report.tile, order[0]):
+            del self.dropped_tiles[report.tile]
         now = self.observations.setdefault(key, Observation(report.plan, order, number))
         now.state = report.state or now.state
         good = {positioner for positioner, is_good in report.visits if is_good}
@@ -223,6 +226,16 @@ class DocumentedHistory:
                     if counts and target in self.science:
                         (bad if positioner in one.failed else good)[target] += 1
         return {target: self._row(target, good[target], bad[target], visits, after_success, retries) for target in good}
+
+    def last_visits(self, until="9999"):
+        """Return for each target its last visit: whether it was good or bad, the tile, and the date."""
+        found = {}
+        for (tile, date), one in sorted(self.observations.items(), key=lambda item: item[1].order):
+            if one.state == "done" and date <= until:
+                for positioner, target, counts in one.plan.visits:
+                    if counts and target in self.science:
+                        found[target] = "bad" if positioner in one.failed else "good", str(tile), date
+        return found
 
     def _row(self, target, good, bad, visits, after_success, retries):
         requested = self.visits[target] if visits is None else visits

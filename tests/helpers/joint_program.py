@@ -1,5 +1,7 @@
 """Random small surveys, and an integer program that contains all tiles of a survey."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
@@ -29,6 +31,32 @@ def random_survey(seed):
         columns["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
     options = rs.AllocationOptions("optimal", parked_obstacles=bool(rng.random() < 0.5))
     return instrument, tiles, rs.Catalog(sky, **columns), options
+
+
+KINDS = {
+    "kinds": (["science", "standard", "sky"], [0.5, 0.25, 0.25]),
+    "several": (["science", "science+standard", "science+sky", "standard", "sky"], [0.3, 0.4, 0.1, 0.1, 0.1]),
+}
+NEEDS = [rs.Requirement.parse(text) for text in ("standard=2", "sky=1-2", "science=0-3")]
+
+
+def survey_with(seed, roles):
+    """Return a survey whose targets are science targets, have one of three kinds, or several roles; and requirements.
+
+    Not all requirements can be met.
+    """
+    instrument, tiles, catalog, options = random_survey(seed)
+    if roles == "science":
+        return instrument, tiles, catalog, options, []
+    rng, (names, fractions) = np.random.default_rng([seed, 1 if roles == "kinds" else 3]), KINDS[roles]
+    kind = rng.choice(names, len(catalog), p=fractions)
+    if roles == "kinds":
+        low = rng.integers(0, 4, 2)
+        high = [None if rng.random() < 0.5 else int(k) + int(rng.integers(0, 2)) for k in low]
+        needs = [rs.Requirement(*row) for row in zip(("sky", "standard"), low.tolist(), high, strict=True)]
+    else:
+        needs = [one for one in NEEDS if rng.random() < 0.8] or NEEDS[:1]
+    return instrument, tiles, replace(catalog, kind=kind), replace(options, requirements=needs), needs
 
 
 def visits_by_class(survey, catalog, classes):

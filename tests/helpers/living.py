@@ -60,6 +60,12 @@ def content(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in paths if ".rfpsurvey" not in str(p)}
 
 
+def replan(case: tuple, survey: rs.Survey, **options: object) -> rs.Survey:
+    """Plan the rest of a survey in its folder with the allocator ``nearest``, from its state or other ``visits``."""
+    options = {"visits": options.get("visits") or survey.state(case[0]), "allocator": "nearest", **options}
+    return rs.plan_survey(*case, **{"folder": survey.folder, "resume": True, **options})
+
+
 def part(folder: Path, row: int) -> bytes:
     """Return the content of the file of a tile."""
     return (Path(folder) / f"tiles/000/{row:06d}.fits").read_bytes()

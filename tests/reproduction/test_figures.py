@@ -106,5 +106,4 @@ def test_bad_input_is_one_sentence(tmp_path):
     (tmp_path / "file").touch()
     run = [sys.executable, FOLDER, "small", "--folder", tmp_path / "file"]
     done = subprocess.run(run, capture_output=True, text=True)
-    assert done.returncode == 2
-    assert done.stderr == f"reproduction: {tmp_path}/file must be a folder, but it is a file\n"
+    assert (done.returncode, done.stderr) == (2, f"reproduction: {tmp_path}/file must be a folder, but it is a file\n")

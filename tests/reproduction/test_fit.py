@@ -12,9 +12,7 @@ MM = u.mm
 
 def test_the_polynomial_is_found_exactly_where_there_is_one(rng):
     central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (60, 3)).T
-    value = (
-        0.3 + 0.02 * central_arm - 0.01 * pitch + 0.1 * ratio**2 + 0.003 * central_arm * ratio - 0.0005 * ratio * pitch
-    )
+    value = 0.3 + 0.02 * central_arm - 0.01 * pitch + 0.1 * ratio**2 + (0.003 * central_arm - 0.0005 * pitch) * ratio
     fit = fit_polynomial(central_arm * MM, ratio, pitch * MM, value, rng=1)
     assert fit.r2_held_back > 1 - 1e-9
     assert fit.predict([9, 10] * MM, [1.5, 1.2], [30, 26] * MM) == pytest.approx(
@@ -36,25 +34,20 @@ def test_a_penalty_shrinks_what_noise_suggests(rng):
     central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (40, 3)).T
     noisy = fit_polynomial(central_arm * MM, ratio, pitch * MM, rng.random(40), rng=1)
     assert noisy.penalty > 1e-3
-    left = fit_polynomial(
-        central_arm * MM, ratio, pitch * MM, central_arm * ratio, rng=1
-    )  # regularization has no effect
-    assert left.penalty < 1e-6
+    left = fit_polynomial(central_arm * MM, ratio, pitch * MM, central_arm * ratio, rng=1)
+    assert left.penalty < 1e-6  # regularization has no effect
 
 
-@pytest.mark.parametrize(
-    ("change", "words"),
-    [
-        ({"probability": [0.1] * 5}, "30 finite numbers"),
-        ({"probability": [np.nan] * 30}, "30 finite numbers"),
-        ({"ratio": np.ones(30)}, "at least two different values"),
-        ({"held_back": 0.9}, "held_back"),
-        ({"ratio": [[1.0] * 30] * 2}, "must be one-dimensional and finite"),
-        ({"ratio": [1.0, 2.0]}, r"with the same length, got the shapes \(30,\), \(2,\), \(30,\)"),
-    ],
-)
-def test_a_fit_that_makes_no_sense_is_refused(rng, change, words):
+def test_a_fit_that_makes_no_sense_is_refused(rng):
     central_arm, ratio, pitch = rng.uniform((7, 1, 25), (14, 2, 35), (30, 3)).T
-    options = {"central_arm": central_arm * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio, **change}
-    with pytest.raises(rs.InputError, match=words):
-        fit_polynomial(**options)
+    options = {"central_arm": central_arm * MM, "ratio": ratio, "pitch": pitch * MM, "probability": ratio}
+    for name, value, words in (
+        ("probability", [0.1] * 5, "30 finite numbers"),
+        ("probability", [np.nan] * 30, "30 finite numbers"),
+        ("ratio", np.ones(30), "at least two different values"),
+        ("held_back", 0.9, "held_back"),
+        ("ratio", [[1.0] * 30] * 2, "must be one-dimensional and finite"),
+        ("ratio", [1.0, 2.0], r"with the same length, got the shapes \(30,\), \(2,\), \(30,\)"),
+    ):
+        with pytest.raises(rs.InputError, match=words):
+            fit_polynomial(**{**options, name: value})

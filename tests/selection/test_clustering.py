@@ -119,27 +119,6 @@ def test_the_weight_of_a_target_without_a_fiber_goes_to_the_nearest_observed_tar
     assert script.nearest_neighbor_weights(vectors, observed, rows).tolist() == expected.tolist()
 
 
-@pytest.mark.exhaustive
-def test_the_estimator_finds_the_correlation_function_of_the_process(script):
-    rng = np.random.default_rng(4)
-    random = script.Points(rs.Catalog(script.to_sky(rng.uniform(-script.HALF, script.HALF, (20_000, 2)))), slice(None))
-    rr = script.count(random, random) / script.totals(random, random, same=True)[:, None]
-    found, errors = [], []
-    for seed in range(40):
-        catalog, in_slice = script.make_mock(100 + seed)
-        d = script.Points(catalog, np.flatnonzero(in_slice))
-        dd = script.count(d, d) / script.totals(d, d, same=True)[:, None]
-        w, covariance = script.correlation(dd, script.count(d, random) / script.totals(d, random)[:, None], rr)
-        found.append(w)
-        errors.append(np.sqrt(np.diag(covariance)))
-    scatter = np.std(found, axis=0, ddof=1)
-    apart = (np.mean(found, axis=0) - script.thomas_correlation()) / (scatter / np.sqrt(len(found)))
-    assert np.abs(apart).max() < 4
-    ratio = np.sqrt(np.mean(np.square(errors), axis=0)) / scatter  # the jackknife overestimates errors slightly
-    assert (ratio > 0.7).all()
-    assert (ratio < 1.6).all()
-
-
 def test_the_closed_form_is_the_average_over_each_bin(script):
     def pairs(theta2):  # of one parent
         return np.exp(-theta2 / (4 * script.SIGMA**2)) / (4 * np.pi * script.SIGMA**2)

@@ -23,7 +23,6 @@ POINTS = {
     "five": [[-24.0, 3.0], [-22.0, -6.0], [-10.0, 1.0], [-8.0, 5.0], [9.0, 2.0]],
     "crowded": [[-24.0, 3.0], [-25.0, -4.0], [-21.0, -8.0], [-10.0, 1.0], [8.0, 3.0]],
 }
-CASES = (*POINTS, "visits", "priorities")
 SHIFTS = [[0.0, 0.0], [4.0, -1.5]]
 
 
@@ -51,14 +50,7 @@ def check(found, chances, n_errors=4):
 
 @pytest.mark.few(2)
 @pytest.mark.parametrize(
-    ("case", "lost"),
-    [
-        ("five", True),
-        ("priorities", True),
-        pytest.param("crowded", True, marks=pytest.mark.exhaustive),
-        pytest.param("visits", True, marks=pytest.mark.exhaustive),
-        *(pytest.param(case, False, marks=pytest.mark.exhaustive) for case in CASES),
-    ],
+    ("case", "lost"), [("five", True), ("priorities", True), ("crowded", True), ("visits", True), ("five", False)]
 )
 @pytest.mark.parametrize("rule", RULES)
 def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
@@ -66,25 +58,16 @@ def test_fractions_of_realizations_are_those_of_all_orders(rule, case, lost):
     visits = [2, 1, 1, 2, 1] if case == "visits" else [1] * 5
     priority = [2, 1, 1, 1, 2] if case == "priorities" else [1] * 5
     sky = rs.Catalog(coord, visits=visits, priority=priority)
-    found = rs.selection_probabilities(
-        sky, INSTRUMENT, tiles, 10_000, allocator=rule, order="given", lost_in_collision=lost
-    )
+    options = {"allocator": rule, "order": "given", "lost_in_collision": lost}
+    found = rs.selection_probabilities(sky, INSTRUMENT, tiles, 5_000, **options)
     sets = observed_sets(PLANE, xy, rule, visits, priority, lost_in_collision=lost)
     assert sum(sets.values()) == pytest.approx(1)
     assert len(sets) > 1 or (rule, case) == ("lamost_rule", "priorities")
     check(found, pair_chances(sets, 5))
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize(
-    ("allocator", "n"),
-    [
-        ("network_flow", 60),
-        ("repair", 60),
-        *(pytest.param(name, 2_000, marks=pytest.mark.exhaustive) for name in ("network_flow", "optimal", "repair")),
-    ],
-)
-def test_rivals_for_one_positioner_are_observed_equally_often(allocator, n):
+@pytest.mark.parametrize("allocator", ["repair", pytest.param("optimal", marks=pytest.mark.exhaustive)])
+def test_rivals_for_one_positioner_are_observed_equally_often(allocator):
     """Three targets are in reach of the first positioner only, and each of two tiles observes one of them.
 
     The most targets are assigned if the other positioners observe the other targets. The order of the three rivals then
@@ -93,6 +76,6 @@ def test_rivals_for_one_positioner_are_observed_equally_often(allocator, n):
     coord, tiles, xy = scene("crowded")
     reaches = np.array(reaches_of(PLANE, xy[0])) & np.array(reaches_of(PLANE, xy[1]))
     np.testing.assert_array_equal(reaches[:, :3], [[True] * 3, [False] * 3, [False] * 3])
-    found = rs.selection_probabilities(rs.Catalog(coord), THIN_ARMS, tiles, n, allocator=allocator, order="given")
+    found = rs.selection_probabilities(rs.Catalog(coord), THIN_ARMS, tiles, 60, allocator=allocator, order="given")
     chances = np.array([[2, 1, 1, 2, 2], [1, 2, 1, 2, 2], [1, 1, 2, 2, 2], [2, 2, 2, 3, 3], [2, 2, 2, 3, 3]]) / 3
     check(found, chances)

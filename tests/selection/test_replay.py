@@ -11,7 +11,7 @@ from scenes import SCENES
 # the last two realizations are in the second block
 N, SOME = 34, (0, 31, 33)
 # the scenes of the default tests
-FEW = ("troubles", "capsules", "both hands")
+FEW, EXHAUSTIVE = ("troubles", "capsules", "both hands"), pytest.mark.exhaustive
 
 
 @pytest.mark.few(2)
@@ -57,27 +57,6 @@ def test_observing_conditions_and_losses_that_count():
 
 
 @pytest.mark.filterwarnings("ignore:.*requirement")
-@pytest.mark.parametrize(
-    "options",
-    [
-        rs.AllocationOptions("lamost_rule", requirements=["standard=3"]),
-        rs.AllocationOptions("repair"),
-        rs.AllocationOptions("network_flow"),
-        pytest.param(rs.AllocationOptions("optimal"), marks=pytest.mark.exhaustive),
-        pytest.param(
-            rs.AllocationOptions("nearest", requirements=["sky=2"], sky_separation=20 * u.arcsec),
-            marks=pytest.mark.exhaustive,
-        ),
-    ],
-    ids=lambda options: f"{options.name}-{len(options.requirements)}",
-)
-def test_allocators_that_plan_one_realization_after_the_other(small, options):
-    sky, tiles = sky_of(0.8, 400, kinds=True), tiles_of(0.5, 2)
-    found = rs.selection_probabilities(sky, small, tiles, 3, allocator=options)
-    check(found, sky, small, tiles, options, (0, 2))
-
-
-@pytest.mark.filterwarnings("ignore:.*requirement")
 def test_joint_plans(small):
     sky, tiles = sky_of(0.8, 400, kinds=True), tiles_of(0.5, 3)
 
@@ -100,30 +79,14 @@ def test_an_allocator_of_another_package(small):
     check(found, sky, small, tiles, first, (0, 1))
 
 
-@pytest.mark.exhaustive
-@pytest.mark.parametrize("allocator", ["nearest", "lamost_rule", "balanced"])
-@pytest.mark.parametrize(("instrument", "step", "n"), [("moons", 0.3, 60_000), ("desi", 1.4, 60_000)])
-def test_twenty_realizations_of_fifty_tiles(allocator, instrument, step, n):
-    tiles = tiles_of(step, 5)
-    assert len(tiles) == 50
-    sky = sky_of(4 * step, n)
-    found = rs.selection_probabilities(sky, instrument, tiles, 64, allocator=allocator)
-    assert found.summary["n_sometimes_observed"] > 1000
-    check(found, sky, instrument, tiles, allocator, range(0, 60, 3))
-
-
-@pytest.mark.parametrize("allocator", ["nearest", pytest.param("lamost_rule", marks=pytest.mark.exhaustive)])
-@pytest.mark.parametrize(
-    "scene",
-    [scene if scene in FEW else pytest.param(scene, marks=pytest.mark.exhaustive) for scene in SCENES],
-)
-def test_arms_of_all_kinds(scene, allocator):
+@pytest.mark.parametrize("scene", [one if one in FEW else pytest.param(one, marks=EXHAUSTIVE) for one in SCENES])
+def test_arms_of_all_kinds(scene):
     """The segments of arms are computed for all pairs in reach, and not for the arms of one plan."""
     plane, others = SCENES[scene]
     types = [name for name in plane.fiber_types if name]
     instrument = rs.Instrument("scene", plane, plate_scale=150 * u.mm / u.deg)
     sky, tiles = sky_of(1.0, 500, fiber_types=[*types, ""] if types else ()), tiles_of(0.4, 2)
-    options = rs.AllocationOptions(allocator, parked_obstacles=others.get("parked_obstacles", True))
+    options = rs.AllocationOptions("nearest", parked_obstacles=others.get("parked_obstacles", True))
     found = rs.selection_probabilities(sky, instrument, tiles, 3, allocator=options)
     assert found.realizations["n_lost"].min() > 0
     check(found, sky, instrument, tiles, options, (0, 2))

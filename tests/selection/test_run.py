@@ -17,6 +17,7 @@ import rfpsurvey as rs
 from rfpsurvey.selection import _folder
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
+AS = "as for the survey"
 N = 40  # two blocks of realizations that are planned together
 
 
@@ -57,8 +58,7 @@ def same(one, other):
         np.testing.assert_array_equal(getattr(one, name), getattr(other, name), err_msg=name)
     for name in one.realizations.colnames:
         np.testing.assert_array_equal(one.realizations[name], other.realizations[name], err_msg=name)
-    assert one.summary == other.summary
-    assert one.provenance == other.provenance
+    assert (one.summary, one.provenance) == (other.summary, other.provenance)
 
 
 def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
@@ -70,9 +70,7 @@ def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
     held.write(tmp_path / "two.fits")
     assert (tmp_path / "two.fits").read_bytes() == undisturbed["selection.fits"]
     table = QTable.read(tmp_path / "two.fits", hdu=1)
-    assert table.colnames == held.table.colnames
-    assert table["BITWEIGHTS"].dtype.kind == "i"
-    assert table.meta["NREALIZ"] == N
+    assert (table.colnames, table["BITWEIGHTS"].dtype.kind, table.meta["NREALIZ"]) == (held.table.colnames, "i", N)
     for name in table.colnames:
         shown = np.asarray(table[name]).reshape(np.shape(held.table[name]))
         np.testing.assert_array_equal(shown, np.asarray(held.table[name]), err_msg=name)
@@ -104,13 +102,11 @@ def test_first_realizations_do_not_depend_on_their_number(case):
 
 
 def test_threads_and_processes(case, tmp_path, undisturbed):
-    with ThreadPoolExecutor(3) as executor:
-        compute(case, tmp_path / "threads", executor=executor)
     context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as executor:
-        compute(case, tmp_path / "processes", executor=executor)
-    assert content(tmp_path / "threads") == undisturbed
-    assert content(tmp_path / "processes") == undisturbed
+    for name, pool in {"threads": ThreadPoolExecutor(3), "processes": ProcessPoolExecutor(1, context)}.items():
+        with pool as executor:
+            compute(case, tmp_path / name, executor=executor)
+        assert content(tmp_path / name) == undisturbed
 
 
 class InterruptError(Exception):
@@ -129,8 +125,7 @@ def stop_after(n):
     return stop
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("allocator", ["nearest", "repair"])
+@pytest.mark.parametrize("allocator", ["nearest", pytest.param("repair", marks=pytest.mark.exhaustive)])
 def test_interrupted_after_any_number_of_plans(case, tmp_path, monkeypatch, undisturbed, allocator):
     """Each run ends after a few more plans of tiles; the checkpoints are those after each round."""
     monkeypatch.setattr(_folder, "EVERY", 0.0)
@@ -155,15 +150,14 @@ def test_interrupted_after_any_number_of_plans(case, tmp_path, monkeypatch, undi
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
-@pytest.mark.parametrize("n", [3, pytest.param(20, marks=pytest.mark.exhaustive)])
-def test_killed_at_random_moments(case, tmp_path, monkeypatch, undisturbed, rng, n):
+def test_killed_at_random_moments(case, tmp_path, monkeypatch, undisturbed, rng):
     monkeypatch.setattr(_folder, "EVERY", 0.0)
     context = multiprocessing.get_context("fork")
     begin = time.perf_counter()
     compute(case, tmp_path / "clock")
     whole = time.perf_counter() - begin
     killed, run = 0, 0
-    while killed < n:
+    while killed < 3:
         run += 1
         folder = tmp_path / f"selection-{run}"
         for attempt in range(4):
@@ -268,16 +262,16 @@ def test_two_computations_in_one_folder_are_refused(case, tmp_path):
 
 def test_refused_folders(case, tmp_path):
     folder = tmp_path / "selection"
-    with pytest.raises(rs.InputError, match="the folder of the computation to resume must be given"):
-        compute(case, None, resume=True)
     compute(case, folder, 2)
     same(compute(case, folder, 2, resume=True), rs.SelectionProbabilities.read(folder))
-    with pytest.raises(rs.InputError, match="holds a computation of selection probabilities; continue it"):
-        compute(case, folder, 2)
-    with pytest.raises(rs.InputError, match="n_realizations differs .n_realizations was 2 and is now 3"):
-        compute(case, folder, 3, resume=True)
-    with pytest.raises(rs.InputError, match="lost_in_collision differ"):
-        compute(case, folder, 2, resume=True, lost_in_collision=False)
+    for place, n, options, message in (
+        (None, N, {"resume": True}, "the folder of the computation to resume must be given"),
+        (folder, 2, {}, "holds a computation of selection probabilities; continue it"),
+        (folder, 3, {"resume": True}, "n_realizations differs .n_realizations was 2 and is now 3"),
+        (folder, 2, {"resume": True, "lost_in_collision": False}, "lost_in_collision differ"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            compute(case, place, n, **options)
     case[0].write(tmp_path / "sky.fits")
     with pytest.raises(rs.InputError, match="must contain selection probabilities, got a table without target_id"):
         rs.SelectionProbabilities.read(tmp_path / "sky.fits")
@@ -306,15 +300,29 @@ def test_numbers_that_selections_cannot_hold_are_refused(case, tmp_path, name, v
         rs.SelectionProbabilities.read(tmp_path / "new.fits")
 
 
-def test_refused_arguments(case):
-    with pytest.raises(rs.InputError, match="n_realizations must be a whole number from 1"):
-        compute(case, None, 0)
-    with pytest.raises(TypeError, match="n_realizations must be a whole number from 1"):
-        compute(case, None, "many")
-    with pytest.raises(rs.InputError, match="subpriority must not be given"):
-        compute(case, None, 2, allocator=rs.AllocationOptions("nearest", subpriority=3))
+def test_refused_arguments(case, small):
+    """Also joint plans with a time limit, and surveys with other options or other joint plans, are refused."""
+    asked = rs.AllocationOptions("nearest", subpriority=3)
+    joint = rs.JointOptions(allocator=rs.AllocationOptions("optimal", subpriority=3))
+    for n, options, message in (
+        (0, {}, "n_realizations must be a whole number from 1"),
+        ("many", {}, "n_realizations must be a whole number from 1"),
+        (2, {"allocator": asked}, "subpriority must not be given"),
+        (2, {"allocator": joint}, "subpriority must not be given"),
+        (2, {"order": "joint"}, "unknown order 'joint'; choose one of: color, given"),
+        (2, {"allocator": rs.JointOptions(time_limit=1 * u.s)}, "must end after a number of iterations"),
+    ):
+        with pytest.raises(TypeError if n == "many" else rs.InputError, match=message):
+            compute(case, None, n, **options)
     with pytest.raises(rs.InputError, match="realization must be a whole number from 0 to 1, got 2"):
         compute(case, None, 2).observed_in(2)
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=50, rng=1)
+    first = rs.JointOptions(iterations=0, allocator=rs.AllocationOptions("optimal", subpriority=1))
+    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=first)
+    for other in ("optimal", rs.JointOptions(iterations=1)):
+        with pytest.raises(rs.InputError, match="joint must be {.*}, as for the survey, got"):
+            rs.selection_probabilities(sky, small, survey, 2, allocator=other)
+    rs.selection_probabilities(sky, small, survey, 2, allocator=rs.JointOptions(iterations=0))
 
 
 def test_warning_if_nothing_is_observed(case):
@@ -332,38 +340,27 @@ def test_requirements_without_effect_cause_a_warning():
         rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=options)
 
 
-def test_joint_plans_with_a_time_limit_are_refused():
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.1 * u.deg, n_targets=50, rng=1)
-    with pytest.raises(rs.InputError, match="unknown order 'joint'; choose one of: color, given"):
-        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, order="joint")
-    with pytest.raises(rs.InputError, match="must end after a number of iterations"):
-        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=rs.JointOptions(time_limit=1 * u.s))
-    joint = rs.JointOptions(allocator=rs.AllocationOptions("optimal", subpriority=3))
-    with pytest.raises(rs.InputError, match="subpriority must not be given"):
-        rs.selection_probabilities(sky, "moons", CENTER.reshape(1), 2, allocator=joint)
-
-
 def test_the_realizations_of_a_survey_have_its_options(case):
     catalog, instrument, tiling = case
     survey = rs.plan_survey(catalog, instrument, tiling, allocator=rs.AllocationOptions("nearest", subpriority=1))
     expected = rs.selection_probabilities(*case, 3, allocator="nearest")
     found = rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest")
     assert (found.bits == expected.bits).all()
-    with pytest.raises(rs.InputError, match="allocator must be 'nearest', as for the survey, got 'repair'"):
-        rs.selection_probabilities(catalog, instrument, survey, 3)
-    with pytest.raises(rs.InputError, match="instrument must be 'small', as for the survey, got 'moons'"):
-        rs.selection_probabilities(catalog, "moons", survey, 3, allocator="nearest")
-    with pytest.raises(rs.InputError, match="order must be 'color', as for the survey, got 'given'"):
-        rs.selection_probabilities(catalog, instrument, survey, 3, allocator="nearest", order="given")
+    for model, options, message in (
+        (instrument, {}, "allocator must be 'nearest', as for the survey, got 'repair'"),
+        ("moons", {"allocator": "nearest"}, "instrument must be 'small', as for the survey, got 'moons'"),
+        (instrument, {"allocator": "nearest", "order": "given"}, f"order must be 'color', {AS}, got 'given'"),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            rs.selection_probabilities(catalog, model, survey, 3, **options)
 
 
 def test_pairs_of_unknown_targets_are_refused(case):
     """Regression: the row -1 was the last target, and rows that are too large caused an IndexError."""
     found = rs.selection_probabilities(*case, 2, allocator="nearest")
+    words = r"second must be a list of rows of targets .whole numbers from 0 to \d+., got"
     for rows in ([-1], [len(found)], [0.5], [True], [[0]], 0):
-        with pytest.raises(
-            rs.InputError, match=r"second must be a list of rows of targets .whole numbers from 0 to \d+., got"
-        ):
+        with pytest.raises(rs.InputError, match=words):
             found.pair_counts([0], rows)
 
 
@@ -389,13 +386,3 @@ def test_only_surveys_with_random_subpriorities_have_unbiased_weights():
     for catalog, allocator in ((column, "nearest"), (sky, "balanced")):
         survey = rs.plan_survey(catalog, "sdss_apo", tiles, allocator=allocator)
         rs.selection_probabilities(catalog, "sdss_apo", survey, 2, allocator=allocator)
-
-
-def test_surveys_with_conditions_or_other_joint_plans_are_refused(small):
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.5 * u.deg, n_targets=50, rng=1)
-    options = rs.AllocationOptions("optimal", subpriority=1)
-    survey = rs.plan_survey(sky, small, CENTER.reshape(1), allocator=rs.JointOptions(iterations=0, allocator=options))
-    for other in ("optimal", rs.JointOptions(iterations=1)):
-        with pytest.raises(rs.InputError, match="joint must be {.*}, as for the survey, got"):
-            rs.selection_probabilities(sky, small, survey, 2, allocator=other)
-    rs.selection_probabilities(sky, small, survey, 2, allocator=rs.JointOptions(iterations=0))

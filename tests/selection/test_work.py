@@ -36,8 +36,7 @@ def test_tips_whose_distance_is_the_minimum_separation(calls, gap, collides):
     k = [int(np.flatnonzero((pairs.target == t) & (pairs.owner == i))[0]) for t, i in ((0, 0), (1, 1))]
     chosen = np.array([[*k, -1], [k[0], -1, -1], [-1, -1, -1]])
     lost = find_lost(plane, FieldReach(None, xy, None, 0.0), pairs, chosen, parked_obstacles=False)
-    assert lost.tolist() == [[collides, collides, False], [False] * 3, [False] * 3]
-    assert len(calls) == (abs(gap - D) < 0.1)
+    assert (lost.tolist(), len(calls)) == ([[collides, collides, False], [False] * 3, [False] * 3], abs(gap - D) < 0.1)
 
 
 @pytest.mark.parametrize(("gap", "collides"), [(0.0, False), (-1e-15, True), (0.5, False), (-0.5, True)])
@@ -47,8 +46,7 @@ def test_a_tip_at_the_clearance_of_an_obstacle(calls, gap, collides):
     xy = np.array([[-gap, 0.0]])
     reach, pairs = FieldReach(None, xy, None, 0.0), plane.arrays.reach(xy)
     lost = find_lost(plane, reach, pairs, np.array([[0, -1]]), parked_obstacles=False)
-    assert lost.tolist() == [[collides, False]]
-    assert len(calls) == (abs(gap) < 0.1)
+    assert (lost.tolist(), len(calls)) == ([[collides, False]], abs(gap) < 0.1)
 
 
 def test_all_collisions_in_exact_arithmetic(small, monkeypatch, calls):

@@ -66,10 +66,8 @@ def test_completeness_counts_what_the_visits_say(sky, small, order):
             chosen &= sky.priority == float(row["priority"])
         seen = visits["target_row"][of_pass <= row["pass"]]
         times = np.bincount(seen, minlength=len(sky))
-        assert row["n_targets"] == chosen.sum()
-        assert row["n_requested"] == sky.visits[chosen].sum()
-        assert row["n_observed"] == times[chosen].sum()
-        assert row["n_complete"] == (times >= sky.visits)[chosen].sum()
+        assert (row["n_targets"], row["n_requested"]) == (chosen.sum(), sky.visits[chosen].sum())
+        assert (row["n_observed"], row["n_complete"]) == (times[chosen].sum(), (times >= sky.visits)[chosen].sum())
         assert row["completeness"] == pytest.approx(times[chosen].sum() / sky.visits[chosen].sum())
     assert set(survey.completeness["priority"]) == {"all", "1", "2", "3"}
 
@@ -79,8 +77,7 @@ def test_a_target_is_complete_after_the_last_pass_that_it_needs(small):
     tiles = QTable({"ra": [0.1, 0.1] * u.deg, "dec": [60, 60] * u.deg, "pass": [2, 1]})
     target = rs.Catalog(SkyCoord([CENTER.directional_offset_by(0 * u.deg, 0.05 * u.deg)]), visits=[2])
     survey = rs.plan_survey(target, small, tiles, order="given")
-    assert survey.completeness["n_observed"].tolist() == [1, 2]
-    assert survey.completeness["n_complete"].tolist() == [0, 1]
+    assert (survey.completeness["n_observed"].tolist(), survey.completeness["n_complete"].tolist()) == ([1, 2], [0, 1])
 
 
 def classes(sky, small, priority):
@@ -97,8 +94,7 @@ def test_priorities_are_counted_apart_up_to_twenty(sky, small):
 
 def test_more_priorities_are_counted_in_ranges(sky, small, rng):
     table = classes(sky, small, rng.random(len(sky)))
-    assert len(table) == 10
-    assert table["n_targets"].sum() == len(sky)
+    assert (len(table), table["n_targets"].sum()) == (10, len(sky))
     assert np.all(np.abs(table["n_targets"] / len(sky) - 0.1) < 0.01)
     ranges = np.array([[float(x) for x in name.split(" to ")] for name in table["priority"]])
     assert (ranges[:, 0] < ranges[:, 1]).all()

@@ -86,36 +86,29 @@ def test_identifiers_distinguish_tiles_at_the_same_place(catalog, instrument):
         plan(catalog, instrument, rs.Tiling(tiling.table[:1]), before)
 
 
-@pytest.mark.parametrize(
-    ("changes", "message"),
-    [
-        ({"turn": 5}, "tile 0 at .* the tile 0 of the tiling is at .* position angle 25 deg; .* other tiles .*: 2"),
+def test_a_tile_without_a_counterpart_is_named(catalog, instrument, before):
+    """Regression: a rotated list of tiles caused an error about an internal class; missing tiles were ignored."""
+    turned = "tile 0 at .* the tile 0 of the tiling is at .* position angle 25 deg; .* other tiles .*: 2"
+    for changes, message in (
+        ({"turn": 5}, turned),
         ({"shift": 1e-4}, "tile 0 at .* position angle 20 deg, but the tile 0 of the tiling is at"),
         ({"turn": 5, "names": list("abcdef")}, "tile 0 at .*; add this tile to the tiling"),
-    ],
-)
-def test_a_tile_without_a_counterpart_is_named(catalog, instrument, before, changes, message):
-    """Regression: a rotated list of tiles caused an error about an internal class; missing tiles were ignored."""
-    with pytest.raises(rs.InputError, match=f"fixed must contain only tiles of the tiling, got {message}"):
-        plan(catalog, instrument, tiles_at(6, **changes), before)
+    ):
+        with pytest.raises(rs.InputError, match=f"fixed must contain only tiles of the tiling, got {message}"):
+            plan(catalog, instrument, tiles_at(6, **changes), before)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
+def test_a_fixed_survey_has_the_same_options(catalog, instrument, before):
+    """Regression: the collisions of the observed tiles were computed anew, for other positions of the targets."""
+    circles = rs.AllocationOptions("optimal", keep_out=[rs.Region.cap(CENTER, 0.01 * u.deg)])
+    for options, message in (
         ({"epoch": 2027}, "epoch '2027', got one with the epoch 'J2026'"),
         ({"epoch": None}, "epoch None, got one with the epoch 'J2026'"),
         ({"lost_in_collision": False}, "lost_in_collision False, got one with the lost_in_collision True"),
-        (
-            {"allocator": rs.AllocationOptions("optimal", keep_out=[rs.Region.cap(CENTER, 0.01 * u.deg)])},
-            "keep_out .* got one with the keep_out",
-        ),
-    ],
-)
-def test_a_fixed_survey_has_the_same_options(catalog, instrument, before, options, message):
-    """Regression: the collisions of the observed tiles were computed anew, for other positions of the targets."""
-    with pytest.raises(rs.InputError, match=f"fixed must be a survey with the {message}"):
-        plan(catalog, instrument, tiles_at(6), before, **options)
+        ({"allocator": circles}, "keep_out .* got one with the keep_out"),
+    ):
+        with pytest.raises(rs.InputError, match=f"fixed must be a survey with the {message}"):
+            plan(catalog, instrument, tiles_at(6), before, **options)
 
 
 def test_a_fixed_survey_has_the_same_observing_conditions(catalog, instrument):

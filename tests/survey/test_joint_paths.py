@@ -110,7 +110,6 @@ def test_patches_of_a_tile_that_are_solved_at_the_same_time_keep_its_rules():
     network = make_network([tile], [np.arange(4)], np.ones(4, np.int64), np.array([0, 0, 1, 1]), 1)
     search = Search(network, np.array([1, 4]), np.eye(3)[:2], JointOptions(), 0)
     search._replan(Patches(network, np.array([0, 1])), None, np.zeros(6), lambda _: True)
-    assert search.visits.tolist() == [1]
-    assert network.counts(search.chosen).tolist() == [1, 1]
+    assert (search.visits.tolist(), network.counts(search.chosen).tolist()) == ([1], [1, 1])
     search._follow_paths()
     assert search.visits.tolist() == [1]

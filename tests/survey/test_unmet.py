@@ -42,9 +42,8 @@ def test_the_table_and_the_summary_state_requirements_tiles_and_numbers(case, tm
         assert parts.get("science=0-6") == (f"{excess[row]} too many" if excess[row] else None)
         assert len(parts) <= survey.tiles["n_unmet"][row]
     unmet = survey.summary["unmet"]
-    assert [text for text in told if text.startswith("requirement")] == [
-        text for text in unmet if text.startswith("requirement")
-    ]
+    said, stated = ([text for text in texts if text.startswith("requirement")] for texts in (told, unmet))
+    assert said == stated
     rows = np.flatnonzero(lacks)
     first = ", ".join(str(row) for row in rows[:5]) + (f" and {len(rows) - 5} more" if len(rows) > 5 else "")
     assert unmet[0] == f"requirement sky=4: {lacks.sum()} missing in {len(rows)} of 8 tiles ({first})"

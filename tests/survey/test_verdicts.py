@@ -18,9 +18,7 @@ ORDER = "contrast mag 5.0 '' fiberId"
 def case():
     """Return a catalog without standards in the first tile and without sky in the second tile, and three tiles."""
     coord = SkyCoord(CENTER.directional_offset_by(90 * u.deg, [0, 2, 4] * u.deg))
-    parts = [
-        rs.synthetic_catalog("uniform", one, 0.4 * u.deg, n_targets=300, rng=k).coord for k, one in enumerate(coord)
-    ]
+    parts = [rs.synthetic_catalog("uniform", c, 0.4 * u.deg, n_targets=300, rng=k).coord for k, c in enumerate(coord)]
     kind = np.tile(["science", "standard", "sky"], 300)
     kind[:300][kind[:300] == "standard"] = "science"
     kind[300:600][kind[300:600] == "sky"] = "science"
@@ -57,20 +55,15 @@ def test_each_tile_has_the_verdicts_of_the_same_tile_alone(case, small, way, tmp
         failed = [rule for rule in found if verdicts[rule] == "fail"]
         assert [text.partition(":")[0] for text in texts] == failed
         unknown = [rule for rule in found if verdicts[rule] == "not checkable"]
-        assert survey.tiles["not_checkable"][k] == ", ".join(unknown)
-        assert survey.tiles["n_unmet"][k] == len(failed)
+        assert (survey.tiles["not_checkable"][k], survey.tiles["n_unmet"][k]) == (", ".join(unknown), len(failed))
     rules = survey.rules
     assert rules.colnames == ["rule", "pass", "fail", "not checkable", "tiles"]
     for row in rules:
-        verdicts = found[row["rule"]]
-        assert [row[name] for name in ("pass", "fail", "not checkable")] == [
-            verdicts.count(name) for name in ("pass", "fail", "not checkable")
-        ]
+        verdicts, names = found[row["rule"]], ("pass", "fail", "not checkable")
+        assert [row[name] for name in names] == [verdicts.count(name) for name in names]
         assert row["tiles"] == ", ".join(str(k) for k, one in enumerate(verdicts) if one == "fail")
-    assert rules["rule"].tolist() == list(found)
-    assert found[LIMIT][0] == "not checkable"
-    assert set(found[ORDER]) == {"not checkable"}
-    assert found[COUNT][1] == "fail"
+    assert (rules["rule"].tolist(), found[LIMIT][0]) == (list(found), "not checkable")
+    assert (set(found[ORDER]), found[COUNT][1]) == ({"not checkable"}, "fail")
     assert "pass" in found[LIMIT]
 
 

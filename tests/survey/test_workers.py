@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from living import content
 
 import flat
 import rfpsurvey as rs
@@ -23,10 +24,6 @@ def case(small):
     return rs.Catalog(coord), small, rs.Tiling.from_table(table)
 
 
-def content(folder):
-    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-
-
 @pytest.mark.parametrize("kind", ["threads", "processes"])
 def test_workers_write_the_same_files(case, kind, tmp_path, monkeypatch):
     monkeypatch.setattr(_rounds, "SHARE", 4)  # six tiles per task
@@ -39,8 +36,7 @@ def test_workers_write_the_same_files(case, kind, tmp_path, monkeypatch):
     monkeypatch.setattr(rs.survey._folder.Folder, "put_file", lambda _, name, __: paths.append(name))
     with executor:
         flat.plan_survey(*case, folder=tmp_path / "workers", executor=executor)
-    assert content(tmp_path / "workers") == content(tmp_path / "alone")
-    assert paths == []
+    assert (content(tmp_path / "workers"), paths) == (content(tmp_path / "alone"), [])
 
 
 def test_damaged_files_are_replaced_by_the_first_process(case, tmp_path, monkeypatch):
@@ -51,11 +47,9 @@ def test_damaged_files_are_replaced_by_the_first_process(case, tmp_path, monkeyp
     index = (tmp_path / "survey/index.csv").read_text().splitlines(keepends=True)
     (tmp_path / "survey/index.csv").write_text("".join(line for line in index if lost not in line))
     (tmp_path / "survey/tiles.fits").unlink()
-    record, recorded = rs.survey._folder.Folder.record, []
-    monkeypatch.setattr(
-        rs.survey._folder.Folder, "record", lambda self, *entry: (recorded.append(entry[0]), record(self, *entry))
-    )
+    folder, recorded = rs.survey._folder.Folder, []
+    record = folder.record
+    monkeypatch.setattr(folder, "record", lambda self, *entry: (recorded.append(entry[0]), record(self, *entry)))
     with ThreadPoolExecutor(2) as executor, pytest.warns(rs.RfpsurveyWarning, match="planned again"):
         flat.plan_survey(*case, folder=tmp_path / "survey", executor=executor, resume=True)
-    assert content(tmp_path / "survey") == before
-    assert recorded == [lost]
+    assert (content(tmp_path / "survey"), recorded) == (before, [lost])

@@ -56,8 +56,7 @@ def test_the_numbers_of_a_positioner_are_those_of_its_free_targets(tile):
         reason = IDLE_REASONS.index(row["reason"])
         if reason < 4:
             assert len(own) == 0
-        assert (reason == 5) == bool(own["possible"].any())
-        assert (reason == 2) == (row["n_in_reach"] == 0)
+        assert (reason == 5, reason == 2) == (bool(own["possible"].any()), row["n_in_reach"] == 0)
 
 
 def test_tiles_without_a_plan_in_memory_have_no_reasons(tile, tmp_path):

@@ -51,9 +51,8 @@ def test_every_target_of_the_field_has_an_outcome(presets, sky, tile):
     assert found["target_id"].tolist() == sky.id[rows].tolist()
     np.testing.assert_allclose(found["ra"].to_value(u.deg), sky.coord.ra.deg[rows], rtol=0, atol=1e-11)
     by_target = {str(t["target_id"][k]): k for k in np.flatnonzero(t["status"] == "assigned")}
-    reach = presets["sdss_apo"].focal_plane.arrays.reach(
-        presets["sdss_apo"].projection(CENTER).to_focal_plane(sky[rows]).to_value(u.mm)
-    )
+    xy = presets["sdss_apo"].projection(CENTER).to_focal_plane(sky[rows]).to_value(u.mm)
+    reach = presets["sdss_apo"].focal_plane.arrays.reach(xy)
     for k, row in enumerate(found):
         place = by_target.get(str(row["target_id"]))
         if place is None:
@@ -62,11 +61,8 @@ def test_every_target_of_the_field_has_an_outcome(presets, sky, tile):
         else:
             expected = "lost to a collision" if t["in_collision"][place] else "observed"
             assert row["positioner"] == t["id"][place]
-            np.testing.assert_allclose(
-                [row["x"].to_value(u.mm), row["y"].to_value(u.mm)],
-                [t["tip_x"][place].to_value(u.mm), t["tip_y"][place].to_value(u.mm)],
-                atol=1e-6,
-            )
+            for name in "xy":
+                assert abs(row[name] - t[f"tip_{name}"][place]) <= 1e-6 * u.mm + 1e-7 * abs(t[f"tip_{name}"][place])
         assert row["outcome"] == expected
     assert set(found["outcome"]) <= set(rs.Tile.OUTCOMES)
 
@@ -126,9 +122,7 @@ def test_many_categories_share_a_row(presets):
     category = np.array([f"class {k % 40}" for k in range(400)])
     found = rs.plan_tile(rs.Catalog(coord, category=category), presets["sdss_apo"], CENTER).completeness
     named = found[found["category"] != "all"]
-    assert len(named) == 20
-    assert named["category"][-1] == "21 others"
-    assert named["n_in_field"].sum() == found["n_in_field"][0]
+    assert (len(named), named["category"][-1], named["n_in_field"].sum()) == (20, "21 others", found["n_in_field"][0])
 
 
 def test_where_the_tile_is(presets, sky):
@@ -145,8 +139,7 @@ def test_where_the_tile_is(presets, sky):
     assert scored.completeness is None
 
 
-@pytest.mark.few(1)
-@pytest.mark.parametrize("suffix", [".fits", ".fits.gz", ".ecsv"])
+@pytest.mark.parametrize("suffix", [".fits.gz", ".ecsv"])
 def test_written_and_read_back(tile, science_only, tmp_path, suffix):
     for number, one in enumerate((tile, science_only)):
         path = tmp_path / f"{number}{suffix}"
@@ -189,16 +182,14 @@ def test_many_classes_are_summed_up(presets):
     tile = rs.plan_tile(rs.Catalog(coord, priority=np.arange(600)), presets["sdss_apo"], CENTER)
     objectives = tile.summary["objectives"]
     n_classes = tile.summary["n_reachable"]
-    assert len(objectives) == 100
-    assert objectives[-1][0] == f"{n_classes - 99} more classes"
+    assert (len(objectives), objectives[-1][0]) == (100, f"{n_classes - 99} more classes")
     assert sum(value for _, value, _ in objectives) == tile.summary["n_assigned"]
     lines = tile_objectives(tile, 12)
-    assert len(lines) == 12
-    assert lines[-1][0] == f"{n_classes - 11} more classes"
+    assert (len(lines), lines[-1][0]) == (12, f"{n_classes - 11} more classes")
     assert sum(value for _, value, _ in lines) == tile.summary["n_assigned"]
 
 
-@pytest.mark.parametrize(("n_classes", "subpriority"), [(14, None), (130, None), (14, 1), (130, 1)])
+@pytest.mark.parametrize(("n_classes", "subpriority"), [(14, None), (130, 1)])
 def test_the_sum_of_further_classes_does_not_contain_the_total(presets, n_classes, subpriority):
     """Regression: the number of targets of any kind was added to the sum of the classes, which it includes."""
     sky = rs.synthetic_catalog("uniform", CENTER, 1 * u.deg, n_targets=900, rng=1)
@@ -243,9 +234,4 @@ def test_a_copied_tile_has_the_same_tables_and_only_the_targets_of_its_field(pre
     for one, other in zip((copy.outcomes, copy.idle, copy.idle_targets), expected, strict=True):
         assert one.colnames == other.colnames
         for name in one.colnames:
-            assert (np.asarray(one[name]) == np.asarray(other[name]))[~np.isnan(_numbers(other[name]))].all()
-
-
-def _numbers(column):
-    values = np.asarray(column)
-    return values if values.dtype.kind == "f" else np.zeros(values.shape)
+            np.testing.assert_array_equal(np.asarray(one[name]), np.asarray(other[name]))

@@ -45,11 +45,9 @@ def test_robots_without_a_target_are_at_their_recorded_joint_angles(configuratio
     tile = rs.score_tile(plan, built)
     theta, phi = angles_of(plan, plane)
     alone = rs.find_collisions(replace(plane, disabled=np.zeros(500, dtype=bool)), theta=theta, phi=phi)
-    assert tile.summary["n_colliding_pairs"] == len(alone.pairs)
-    assert (len(alone.pairs) > 50) == moved
+    assert (tile.summary["n_colliding_pairs"], len(alone.pairs) > 50) == (len(alone.pairs), moved)
     assert_array_equal(tile.table["in_collision"], alone.in_collision)
-    assert tile.summary["n_recorded"] == 201
-    assert set(tile.table["status"][idle]) == {"recorded", "disabled"}
+    assert (tile.summary["n_recorded"], set(tile.table["status"][idle])) == (201, {"recorded", "disabled"})
     assert np.abs(tile.table["phi"] - phi)[idle].max() < 1e-9 * u.deg
     expected = "202 positioners without a target: 202 at the recorded joint angles"
     assert tile.summary["poses_without_target"] == expected

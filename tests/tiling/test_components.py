@@ -63,8 +63,7 @@ def test_overlaps_help_where_fibers_are_short(seed):
         TilingProblem(np.deg2rad(1), index, np.ones(40, dtype=int), 20, FreeFibers(20, None, None), np.deg2rad(1))
     )
     centers = SkyCoord([9.5, 11.0] * DEG, [0, 0] * DEG).cartesian.xyz.value.T
-    assert visit_all(state, np.ascontiguousarray(centers), 1) == 2
-    assert state.completeness == 1
+    assert (visit_all(state, np.ascontiguousarray(centers), 1), state.completeness) == (2, 1)
 
 
 def test_fibers_keep_their_distance(rng):

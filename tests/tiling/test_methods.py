@@ -14,7 +14,6 @@ from rfpsurvey.tiling import METHODS, Centers
 from rfpsurvey.tiling._serve import FreeFibers
 
 DEG = u.deg
-EXHAUSTIVE = pytest.mark.exhaustive
 SEARCHES = [name for name, one in METHODS.items() if not one.needs_tiles]
 GREEDY = ("max_density", "density_gradient", "mean_shift")
 PLACES = {"equator": (180, 0), "zero": (0, 0), "north pole": (0, 90), "south pole": (40, -90), "middle": (123, 45)}
@@ -64,12 +63,10 @@ def test_fibers_limit_what_a_tile_serves(method):
     if method in ("hexagonal", "spiral"):
         options = {"completeness": 1}
     tiling = rs.place_tiles(sky(radius=0.5, n=250), radius=1 * DEG, fibers=50, method=method, **options)
-    assert tiling.table["n_new"].max() == 50
-    assert tiling.summary["completeness"] == 1
+    assert (tiling.table["n_new"].max(), tiling.summary["completeness"]) == (50, 1)
     if method in GREEDY:
         assert tiling.table["n_new"].tolist() == [50] * 5
-        assert tiling.table["n_targets"].tolist() == [250, 200, 150, 100, 50]
-        assert tiling.summary["fiber_use"] == 1
+        assert (tiling.table["n_targets"].tolist(), tiling.summary["fiber_use"]) == ([250, 200, 150, 100, 50], 1)
 
 
 def test_columns_agree_with_a_replay(method):
@@ -82,8 +79,7 @@ def test_columns_agree_with_a_replay(method):
     if method not in ("hexagonal", "spiral"):  # a covering keeps all of its tiles
         assert (tiling.table["n_new"] > 0).all()
     summary = tiling.summary
-    assert summary["n_tiles"] == len(tiling)
-    assert summary["n_on_tiles"] == tiling.table["n_new"].sum()
+    assert (summary["n_tiles"], summary["n_on_tiles"]) == (len(tiling), tiling.table["n_new"].sum())
     assert summary["n_observed"] == tiling.table["n_new"].sum()
     if method != "network_flow":
         assert summary["completeness"] == 1
@@ -127,8 +123,8 @@ def test_density_gradient_rests_on_the_hill(rng):
     assert top >= max(density(place) for place in around) - 0.05
 
 
-@pytest.mark.few(2)
-@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.few(1)
+@pytest.mark.parametrize("seed", range(3))
 def test_no_method_beats_the_optimum(seed):
     catalog = sky(n=11, radius=2, seed=seed)
     best = fewest_circles(catalog, np.deg2rad(1))
@@ -158,16 +154,13 @@ def test_completeness_ends_the_placing(method, stars):
 def test_n_tiles_ends_the_placing(method):
     tiling = rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4)
     assert len(tiling) == 4
-    with pytest.warns(
-        rs.RfpsurveyWarning, match="4 tiles reach a completeness of 0.[0-9]+, not 0.99; n_tiles=4 allows no more"
-    ):
+    words = "4 tiles reach a completeness of 0.[0-9]+, not 0.99; n_tiles=4 allows no more"
+    with pytest.warns(rs.RfpsurveyWarning, match=words):
         rs.place_tiles(sky(n=400, radius=5), radius=1 * DEG, fibers=100, method=method, n_tiles=4, completeness=0.99)
 
 
 @pytest.mark.few(2)
-@pytest.mark.parametrize(
-    "name", [pytest.param(m, marks=EXHAUSTIVE if m in ("network_flow", "max_density") else ()) for m in SEARCHES]
-)
+@pytest.mark.parametrize("name", [name for name in SEARCHES if name not in ("network_flow", "max_density")])
 def test_the_sky_has_no_edge(name):
     """At RA = 0, at the poles and elsewhere, the same targets require about the same number of tiles."""
     center = SkyCoord(123 * DEG, 45 * DEG)
@@ -189,8 +182,7 @@ def test_visits_take_as_many_tiles(method):
     assert tiling.summary["n_observed"] == 90
     np.testing.assert_allclose(tiling.table["completeness"], replay(catalog, tiling, 1 * DEG, 3)[:, 2])
     if method in GREEDY:
-        assert tiling.table["n_new"].tolist() == [30] * 3
-        assert tiling.table["pass"].tolist() == [1, 2, 3]
+        assert (tiling.table["n_new"].tolist(), tiling.table["pass"].tolist()) == ([30] * 3, [1, 2, 3])
     wanted = rs.Catalog(catalog.coord, visits=np.repeat([0, 1, 2], 10))
     assert rs.place_tiles(wanted, radius=1 * DEG, fibers=30, method=method, **options).summary["n_requested"] == 30
 
@@ -211,8 +203,7 @@ def test_pairs_too_close_take_two_tiles(method):
     options = {"n_tiles": 2} if method == "network_flow" else {"completeness": 1}
     tiling = rs.place_tiles(coord, radius=1 * DEG, fibers=rs.tiling.Fibers(6, 50 * u.arcsec), method=method, **options)
     # the first and the last of the three targets in a row are observed together
-    assert tiling.table["n_new"][0] == 4
-    assert tiling.summary["n_isolated"] == 1
+    assert (tiling.table["n_new"][0], tiling.summary["n_isolated"]) == (4, 1)
     assert tiling.summary["completeness_isolated"] == 1
     if method in GREEDY:
         assert tiling.table["n_new"].tolist() == [4, 2]
@@ -224,10 +215,9 @@ def test_network_flow_needs_fewer_tiles_than_the_lattice(stars):
     assert len(network) < len(lattice)
 
 
-@pytest.mark.parametrize("seed", [0, *(pytest.param(k, marks=EXHAUSTIVE) for k in (1, 3))])
-def test_network_flow_finds_the_fewest_tiles(seed):
+def test_network_flow_finds_the_fewest_tiles():
     """With one tile less, the completeness is not reached."""
-    catalog, options = sky(n=300, radius=5, seed=seed), {"radius": 1 * DEG, "fibers": 40, "method": "network_flow"}
+    catalog, options = sky(n=300, radius=5, seed=0), {"radius": 1 * DEG, "fibers": 40, "method": "network_flow"}
     tiling = rs.place_tiles(catalog, completeness=0.95, **options)
     less = rs.place_tiles(catalog, n_tiles=len(tiling) - 1, **options)
     assert less.summary["completeness"] < 0.95 <= tiling.summary["completeness"]
@@ -252,10 +242,8 @@ def test_a_real_focal_plane_serves_what_plan_tile_assigns(stars, instrument):
     tile = rs.plan_tile(near, instrument, tiling.coord[0], position_angle=20 * DEG, allocator="lamost_rule")
     assert tiling.table["n_new"][0] == tile.summary["n_assigned"]
     lost = rs.place_tiles(near, instrument, **options)
-    assert (
-        lost.table["n_new"][0]
-        == tile.summary["n_assigned"] - (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
-    )
+    n_lost = (tile.table["in_collision"] & (tile.table["kind"] == "science")).sum()
+    assert lost.table["n_new"][0] == tile.summary["n_assigned"] - n_lost
     assert tiling.table["n_targets"][0] == tile.summary["n_in_field"]
     some = rs.place_tiles(near, instrument, method="max_density", allocator="lamost_rule", n_tiles=1, fibers=7)
     assert some.table["n_new"].tolist() == [7]
@@ -299,10 +287,9 @@ def test_centers_are_chosen_from_a_list(method, stars):
 @pytest.mark.few(2)
 def test_centers_too_few_are_a_warning(method):
     catalog = sky(n=100, radius=5)
+    options = {"radius": 1 * DEG, "fibers": 100, "method": method}
     with pytest.warns(rs.RfpsurveyWarning, match="tiles reach a completeness of 0.[0-9]+, not 0.9"):
-        tiling = rs.place_tiles(
-            catalog, radius=1 * DEG, fibers=100, method=method, centers=catalog.coord[:3], completeness=0.9
-        )
+        tiling = rs.place_tiles(catalog, centers=catalog.coord[:3], completeness=0.9, **options)
     assert len(tiling) >= 1
     expected = np.min([catalog.coord.separation(c).deg for c in catalog.coord[:3]], axis=0) <= 1
     if method != "network_flow":
@@ -341,39 +328,35 @@ def test_few_targets(method, coord):
         assert tiling.summary["completeness"] == 1
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"method": "greedy"}, "unknown method to place tiles 'greedy'; choose one of: "),
-        ({"completeness": 0}, "completeness must be a number above 0 and at most 1, got 0"),
-        ({"completeness": 95}, "completeness must be a number above 0 and at most 1, got 95"),
-        ({"n_tiles": 0}, "n_tiles must be a whole number of at least 1"),
-        ({"fibers": 1.5}, "fibers must be a whole number of at least 1"),
-        ({"fibers": None}, "an instrument or the number of fibers"),
-        ({"radius": None}, "an instrument or the radius"),
-        ({"allocator": "lamost_rule"}, "an allocator needs the positioners of an instrument"),
-        ({"visits": [1, 2]}, "visits must be one number or have the shape"),
-        ({"visits": 0}, "visits must be whole numbers from 1 to 255, got 0"),
-        ({"visits": [0] * 20}, "at least one science target that requires a visit and is not in a region of exclude"),
-        (
-            {"exclude": rs.Region.whole_sky()},
-            "at least one science target that requires a visit and is not in a region of exclude",
-        ),
-        ({"instrument": "lamost", "allocator": "magic"}, "unknown allocator 'magic'"),
-        (
-            {"instrument": "lamost", "allocator": "lamost_rule", "fibers": rs.tiling.Fibers(20, 1 * u.arcsec)},
-            "min_separation must not be given with an allocator",
-        ),
-        ({"centers": 5}, "centers must be a SkyCoord, a Tiling or a Table, got 5"),
-        ({"rng": -1}, "rng must be a seed"),
-    ],
-)
-def test_bad_requests_are_named(options, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.place_tiles(sky(n=20), **{"radius": 1 * DEG, "fibers": 20, **options})
+NO_TARGET = "at least one science target that requires a visit and is not in a region of exclude"
+BAD = {
+    "unknown method to place tiles 'greedy'; choose one of: ": {"method": "greedy"},
+    "completeness must be a number above 0 and at most 1, got 0": {"completeness": 0},
+    "completeness must be a number above 0 and at most 1, got 95": {"completeness": 95},
+    "n_tiles must be a whole number of at least 1": {"n_tiles": 0},
+    "fibers must be a whole number of at least 1": {"fibers": 1.5},
+    "an instrument or the number of fibers": {"fibers": None},
+    "an instrument or the radius": {"radius": None},
+    "an allocator needs the positioners of an instrument": {"allocator": "lamost_rule"},
+    "visits must be one number or have the shape": {"visits": [1, 2]},
+    "visits must be whole numbers from 1 to 255, got 0": {"visits": 0},
+    NO_TARGET: {"visits": [0] * 20},
+    f"{NO_TARGET}.*": {"exclude": rs.Region.whole_sky()},
+    "unknown allocator 'magic'": {"instrument": "lamost", "allocator": "magic"},
+    "min_separation must not be given with an allocator": {
+        "instrument": "lamost",
+        "allocator": "lamost_rule",
+        "fibers": rs.tiling.Fibers(20, 1 * u.arcsec),
+    },
+    "centers must be a SkyCoord, a Tiling or a Table, got 5": {"centers": 5},
+    "rng must be a seed": {"rng": -1},
+}
 
 
-def test_a_separation_of_fibers_is_an_angle():
+def test_bad_requests_are_named():
+    for message, options in BAD.items():
+        with pytest.raises(rs.InputError, match=message):
+            rs.place_tiles(sky(n=20), **{"radius": 1 * DEG, "fibers": 20, **options})
     with pytest.raises(rs.InputError, match="min_separation must be a Quantity"):
         rs.tiling.Fibers(20, 55)
 

@@ -1,5 +1,7 @@
 """Lists of tiles, and coverings without gaps."""
 
+from functools import partial
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -44,23 +46,19 @@ def test_usual_names_are_found():
         table(TILEID=[7, 8, 9], PASS=[0, 1, 1], PA=[0, 30, 0.5] * DEG, AIRMASS=[1.0, 1.1, 1.2])
     )
     assert tiling.table.colnames == ["tile", "ra", "dec", "position_angle", "pass", "AIRMASS"]
-    assert tiling.table["tile"].tolist() == [7, 8, 9]
-    assert tiling.table["pass"].tolist() == [0, 1, 1]
+    assert (tiling.table["tile"].tolist(), tiling.table["pass"].tolist()) == ([7, 8, 9], [0, 1, 1])
     assert tiling.table["position_angle"].to_value(DEG).tolist() == [0, 30, 0.5]
     assert repr(tiling) == "<Tiling of 3 tiles in 2 passes>"
     bare = rs.Tiling.from_table(table())
-    assert bare.table["tile"].tolist() == [0, 1, 2]
-    assert bare.table["pass"].tolist() == [1, 1, 1]
-    assert bare.coord.ra.deg.tolist() == [10, 20, 350]
-    assert bare.summary == {}
+    assert (bare.table["tile"].tolist(), bare.table["pass"].tolist()) == ([0, 1, 2], [1, 1, 1])
+    assert (bare.coord.ra.deg.tolist(), bare.summary) == ([10, 20, 350], {})
 
 
 def test_columns_and_units_can_be_given():
     t = Table({"a": [600.0], "b": [20.0], "who": ["x"], "turn": [90.0], "ra": [1.0]})
     names = {"ra": "a", "dec": "b", "tile": "who", "position_angle": "turn"}
     tiling = rs.Tiling.from_table(t, columns=names, units={"ra": "arcmin", "dec": "deg"})
-    assert tiling.table["ra"][0].to_value(DEG) == pytest.approx(10)
-    assert tiling.table["tile"].tolist() == ["x"]
+    assert (tiling.table["ra"][0].to_value(DEG), tiling.table["tile"].tolist()) == (pytest.approx(10), ["x"])
     assert tiling.table["position_angle"][0] == 90 * DEG
 
 
@@ -83,7 +81,8 @@ def test_files_that_cannot_have_units_are_in_degrees(tmp_path, suffix):
         given.to_pandas().to_parquet(path)
     else:
         given.write(path, format="ascii.csv" if suffix == "csv" else "ascii.tab")
-    assert rs.Tiling.read(path).coord.ra.deg.tolist() == [10, 11]  # without a warning, which would fail the test
+    tiling = rs.Tiling.read(path)  # without a warning, which would fail the test
+    assert (tiling.coord.ra.deg.tolist(), tiling.table["tile"].tolist()) == ([10, 11], ["a", "b"])
 
 
 @pytest.mark.parametrize("kind", [bool, np.uint8, str])
@@ -93,8 +92,7 @@ def test_tiles_that_are_not_part_of_desi_are_omitted_with_a_warning(kind):
     given = Table({"TILEID": [7, 8, 9], "RA": [10.0, 20.0, 30.0], "DEC": [0.0, 5.0, 10.0], "IN_DESI": is_part})
     with pytest.warns(rs.RfpsurveyWarning, match=r"^1 of 3 tiles \(IN_DESI = 0\) are omitted, because they are not"):
         tiling = rs.Tiling.from_table(given)
-    assert tiling.table["tile"].tolist() == [7, 9]
-    assert tiling.coord.dec.deg.tolist() == [0, 10]
+    assert (tiling.table["tile"].tolist(), tiling.coord.dec.deg.tolist()) == ([7, 9], [0, 10])
     assert tiling.table.meta["omitted"] == "1 of 3 tiles (IN_DESI = 0)"
     all_in = rs.Tiling.from_table(given[::2])  # without a warning, which would fail the test
     assert all_in.table.meta["omitted"] == "0 of 2 tiles (IN_DESI = 0)"
@@ -114,8 +112,7 @@ def test_the_list_of_tiles_of_desi_is_read(real_data):
     assert (Centers(table).tiling.coord.ra == tiling.coord.ra).all()
 
 
-@pytest.mark.few(2)
-@pytest.mark.parametrize("suffix", [".ecsv", ".fits", ".ecsv.gz", ".fits.gz"])
+@pytest.mark.parametrize("suffix", [".ecsv", ".fits.gz"])
 def test_write_then_read(tmp_path, suffix):
     first = rs.place_tiles(rs.Region.parse("cap 95 23 8"), "lamost", passes=2, centers=Centers(position_angle=30 * DEG))
     path = tmp_path / f"tiles{suffix}"
@@ -133,8 +130,7 @@ def test_an_empty_tiling_is_one(tmp_path):
     empty = rs.Tiling.from_table(table()[:0])
     assert len(empty) == 0
     empty.write(tmp_path / "e.fits")
-    assert len(rs.Tiling.read(tmp_path / "e.fits")) == 0
-    assert empty.coverage(1 * DEG, nside=2).tolist() == [0] * 48
+    assert (len(rs.Tiling.read(tmp_path / "e.fits")), empty.coverage(1 * DEG, nside=2).tolist()) == (0, [0] * 48)
 
 
 def test_what_stands_for_a_tiling():
@@ -147,41 +143,34 @@ def test_what_stands_for_a_tiling():
         as_tiling([1])
 
 
-def test_csv_is_in_degrees(tmp_path):
-    (tmp_path / "t.csv").write_text("tile,ra,dec,pass\na,10,20,1\nb,11,20,2\n")
-    tiling = rs.Tiling.read(tmp_path / "t.csv")
-    assert tiling.table["tile"].tolist() == ["a", "b"]
-    np.testing.assert_allclose(tiling.coord.ra.deg, [10, 11])
+WHOLE = "pass must be a whole number for every tile, got"
+BAD = {
+    "there is no column for dec; the columns are: ra": QTable({"ra": [1.0] * DEG}),
+    "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --set tiles.units.dec=deg": QTable(
+        {"ra": [1.0] * DEG, "DEC": [1.0]}
+    ),
+    "table must be an astropy Table, a QTable or a DataFrame, got": [1],
+    "but 1 occurs 2 times": table(tile=[1, 2, 1]),
+    "ra must lie between": QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG}),
+    "dec must lie between": QTable({"ra": [1.0] * DEG, "dec": [np.nan] * DEG}),
+    "tiles a and b are the same: pass 1": QTable({"tile": ["a", "b"], "ra": [0, 360.0] * DEG, "dec": [5, 5] * DEG}),
+    f"{WHOLE} 1.5": table(PASS=[1, 1.5, 2]),
+    f"{WHOLE} 1e": table(PASS=[1, 1e30, 2]),
+}
 
 
-@pytest.mark.parametrize(
-    ("make", "message"),
-    [
-        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG})), "there is no column for dec; the columns are: ra"),
-        (
-            lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "DEC": [1.0]})),
-            "column 'DEC' has no unit; state the unit, for example units={'dec': 'deg'} or --set tiles.units.dec=deg",
-        ),
-        (lambda: rs.Tiling.from_table([1]), "table must be an astropy Table, a QTable or a DataFrame, got"),
-        (lambda: rs.Tiling.from_table(table(tile=[1, 2, 1])), "but 1 occurs 2 times"),
-        (lambda: rs.Tiling.from_table(QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG})), "ra must lie between"),
-        (lambda: rs.Tiling.from_table(QTable({"ra": [1.0] * DEG, "dec": [np.nan] * DEG})), "dec must lie between"),
-        (
-            lambda: rs.Tiling.from_table(QTable({"tile": ["a", "b"], "ra": [0, 360.0] * DEG, "dec": [5, 5] * DEG})),
-            "tiles a and b are the same: pass 1",
-        ),
-        (lambda: rs.Tiling.from_table(table(), columns={"field": "RACEN"}), "unknown column role of a tiling 'field'"),
-        (lambda: rs.Tiling.from_table(table(), columns={"ra": "nope"}), "there is no column 'nope'"),
-        (lambda: rs.Tiling.from_table(table(PASS=[1, 1.5, 2])), "pass must be a whole number for every tile, got 1.5"),
-        (lambda: rs.Tiling.from_table(table(PASS=[1, 1e30, 2])), "pass must be a whole number for every tile, got 1e"),
-        (lambda: rs.Tiling(QTable({"ra": [1.0] * DEG})), "lacks tile, dec, position_angle, pass"),
-        (lambda: rs.Tiling.from_table(table()).coverage(1 * DEG, nside=3), "nside must be a power of two"),
-        (lambda: rs.Tiling.from_table(table()).coverage(1), "radius must be a Quantity"),
-    ],
-)
-def test_bad_lists_are_named(make, message):
-    with pytest.raises(rs.InputError, match=message):
-        make()
+def test_bad_lists_are_named():
+    tiling = rs.Tiling.from_table(table())
+    for message, call in (
+        *((message, partial(rs.Tiling.from_table, given)) for message, given in BAD.items()),
+        ("unknown column role of a tiling 'field'", lambda: rs.Tiling.from_table(table(), columns={"field": "RACEN"})),
+        ("there is no column 'nope'", lambda: rs.Tiling.from_table(table(), columns={"ra": "nope"})),
+        ("lacks tile, dec, position_angle, pass", lambda: rs.Tiling(QTable({"ra": [1.0] * DEG}))),
+        ("nside must be a power of two", lambda: tiling.coverage(1 * DEG, nside=3)),
+        ("radius must be a Quantity", lambda: tiling.coverage(1)),
+    ):
+        with pytest.raises(rs.InputError, match=message):
+            call()
 
 
 def test_a_pass_or_a_program_makes_another_tile():
@@ -204,15 +193,14 @@ def test_coverage_agrees_with_brute_force():
 def test_the_tiles_of_desi(real_data):
     """The list of tiles states the area that they cover."""
     tiling = rs.Tiling.read(real_data("desi_tiles_main.ecsv.gz"))
-    assert len(tiling) == 21615
-    assert set(tiling.table["program"]) == {"DARK", "BRIGHT"}
+    assert (len(tiling), set(tiling.table["program"])) == (21615, {"DARK", "BRIGHT"})
     assert set(tiling.table["pass"]) == set(range(7))
     covered = (tiling.coverage(1.6 * DEG, nside=128) > 0).mean() * 4 * np.pi * u.sr
     assert covered.to_value(u.deg**2) == pytest.approx(tiling.table.meta["sky_area_deg2"], abs=0.01)
 
 
 @pytest.mark.few(24)
-@pytest.mark.parametrize("number", [0, pytest.param(1, marks=pytest.mark.exhaustive), 5])
+@pytest.mark.parametrize("number", [0, 5])
 @pytest.mark.parametrize("make", [hexagonal, spiral])
 @pytest.mark.parametrize("center", CENTERS.values(), ids=CENTERS.keys())
 @pytest.mark.parametrize(("reach", "radius"), [(10, 1.5), (1, 2.5), (60, 7), (0.02, 0.003), (0, 1)])
@@ -264,9 +252,8 @@ def test_every_pass_covers_the_region(method, text):
     region = rs.Region.parse(text)
     tiling = rs.place_tiles(region, radius=2 * DEG, method=method, passes=2)
     center, reach = circle_around(region)
-    points = cap_points(
-        (np.rad2deg(np.arctan2(center[1], center[0])), np.rad2deg(np.arcsin(center[2]))), reach, 100_000
-    )
+    place = np.rad2deg(np.arctan2(center[1], center[0])), np.rad2deg(np.arcsin(center[2]))
+    points = cap_points(place, reach, 100_000)
     points = np.vstack([points[is_inside(region, points)], border_of(region) if region.kind != "cap" else center[None]])
     for number in (1, 2):
         tiles = tiling.vectors[tiling.table["pass"] == number]
@@ -326,66 +313,54 @@ def test_centers_restrict_coverings():
     assert poor.summary["covering_fraction"] == pytest.approx(share, abs=0.01)
 
 
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"method": "hexagon"}, "unknown method to place tiles 'hexagon'; choose one of: "),
-        (
-            {"method": "network_flow"},
-            "the method 'network_flow' needs targets, got a Region; methods that cover regions: hexagonal, spiral",
-        ),
-        ({"completeness": 0.9}, "completeness applies only to targets"),
-        ({"n_tiles": 5}, "n_tiles applies only to targets"),
-        (
-            {"centers": Centers(declination=(50, 60) * DEG)},
-            "a part of the region must be within reach of centers from 50",
-        ),
-        ({"passes": 0}, "passes must be a whole number from 1 to 10000, got 0"),
-        ({"radius": 2}, "radius must be a Quantity"),
-        ({"radius": 95 * DEG}, "radius must be one finite value above 0 deg and below 90 deg"),
-        ({"radius": 1 * u.arcsec}, "radius must be larger: about"),
-        ({"radius": None}, "an instrument or the radius of a tile"),
-        ({"centers": SkyCoord([] * DEG, [] * DEG)}, "centers must contain at least one"),
-        ({"exclude": 5}, "exclude must be a Region"),
-        ({"instrument": "lamots"}, "unknown instrument 'lamots'"),
-    ],
-)
-def test_bad_requests_for_a_region_are_named(options, message):
-    with pytest.raises(rs.InputError, match=message):
-        rs.place_tiles(rs.Region.parse("cap 95 23 8"), **{"radius": 2 * DEG, **options})
+BAD_REQUESTS = {
+    "unknown method to place tiles 'hexagon'; choose one of: ": {"method": "hexagon"},
+    "the method 'network_flow' needs targets, got a Region; methods that cover regions: hexagonal, spiral": {
+        "method": "network_flow"
+    },
+    "completeness applies only to targets": {"completeness": 0.9},
+    "n_tiles applies only to targets": {"n_tiles": 5},
+    "a part of the region must be within reach of centers from 50": {"centers": Centers(declination=(50, 60) * DEG)},
+    "passes must be a whole number from 1 to 10000, got 0": {"passes": 0},
+    "radius must be a Quantity": {"radius": 2},
+    "radius must be one finite value above 0 deg and below 90 deg": {"radius": 95 * DEG},
+    "radius must be larger: about": {"radius": 1 * u.arcsec},
+    "an instrument or the radius of a tile": {"radius": None},
+    "centers must contain at least one": {"centers": SkyCoord([] * DEG, [] * DEG)},
+    "exclude must be a Region": {"exclude": 5},
+    "unknown instrument 'lamots'": {"instrument": "lamots"},
+}
+LOST = "lost_in_collision has no effect without the positioners"
+NO_EFFECT = {
+    "fibers has no effect on a region, which has no targets": {"fibers": 5},
+    "visits has no effect on a region": {"visits": 2},
+    "rng has no effect on a region": {"rng": 2},
+    "allocator has no effect on a region": {"instrument": "lamost", "allocator": "lamost_rule"},
+    LOST: {"fibers": Fibers(lost_in_collision=False)},
+}
+NO_EFFECT_ON_TARGETS = {
+    "passes has no effect with .*; only hexagonal and spiral use it": {"method": "max_density", "passes": 2},
+    "passes has no effect if n_tiles or completeness is given": {"n_tiles": 3, "passes": 2},
+    "rng has no effect without the positioners of an allocator": {"rng": 4},
+    LOST: {"fibers": Fibers(9, lost_in_collision=False)},
+    "rng has no effect with the allocator": {"instrument": "lamost", "fibers": None, "radius": None, "rng": 4},
+}
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"fibers": 5}, "fibers has no effect on a region, which has no targets"),
-        ({"visits": 2}, "visits has no effect on a region"),
-        ({"rng": 2}, "rng has no effect on a region"),
-        ({"instrument": "lamost", "allocator": "lamost_rule"}, "allocator has no effect on a region"),
-        ({"fibers": Fibers(lost_in_collision=False)}, "lost_in_collision has no effect without the positioners"),
-    ],
-)
-def test_options_for_targets_cause_a_warning_on_a_region(options, words):
-    with pytest.warns(rs.RfpsurveyWarning, match=words) as told:
-        rs.place_tiles(rs.Region.parse("cap 95 23 3"), **{"radius": 2 * DEG, **options})
-    assert len(told) == 1
+def test_bad_requests_for_a_region_are_named():
+    for message, options in BAD_REQUESTS.items():
+        with pytest.raises(rs.InputError, match=message):
+            rs.place_tiles(rs.Region.parse("cap 95 23 8"), **{"radius": 2 * DEG, **options})
 
 
-@pytest.mark.parametrize(
-    ("options", "words"),
-    [
-        ({"method": "max_density", "passes": 2}, "passes has no effect with .*; only hexagonal and spiral use it"),
-        ({"n_tiles": 3, "passes": 2}, "passes has no effect if n_tiles or completeness is given"),
-        ({"rng": 4}, "rng has no effect without the positioners of an allocator"),
-        ({"fibers": Fibers(9, lost_in_collision=False)}, "lost_in_collision has no effect without the positioners"),
-        ({"instrument": "lamost", "fibers": None, "radius": None, "rng": 4}, "rng has no effect with the allocator"),
-    ],
-)
-def test_options_without_effect_on_tiles_of_targets_cause_a_warning(options, words):
+def test_options_without_effect_cause_one_warning():
+    region = rs.Region.parse("cap 95 23 3")
     sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 1 * DEG, n_targets=30, rng=1)
-    with pytest.warns(rs.RfpsurveyWarning, match=words) as told:
-        rs.place_tiles(sky, **{"radius": 2 * DEG, "fibers": 9, **options})
-    assert len(told) == 1
+    for given, texts, more in ((region, NO_EFFECT, {}), (sky, NO_EFFECT_ON_TARGETS, {"fibers": 9})):
+        for words, options in texts.items():
+            with pytest.warns(rs.RfpsurveyWarning, match=words) as told:
+                rs.place_tiles(given, **{"radius": 2 * DEG, **more, **options})
+            assert len(told) == 1
 
 
 def test_the_hexagonal_lattice_does_not_go_around():

@@ -9,10 +9,20 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
-from living import CENTER, events, instrument, targets, tiling
+from living import CENTER, events, instrument, replan, targets, tiling
 
 import rfpsurvey as rs
 from rfpsurvey.survey import SurveyState, survey_status
+
+
+def begin(sky, tmp_path, **options):
+    """Plan a survey in a folder, and return it."""
+    options = {"allocator": "nearest", "folder": tmp_path / "survey", **options}
+    return rs.plan_survey(sky, instrument(), tiling(), **options)
+
+
+def plan_again(sky, survey, state, **options):
+    return replan((sky, instrument(), tiling()), survey, visits=state, **options)
 
 
 @pytest.fixture
@@ -21,8 +31,7 @@ def ranked(tmp_path):
     sky = targets()
     table = Table({"star": sky.id, "ra": sky.coord.ra, "dec": sky.coord.dec, "rank": -sky.priority, "n": sky.visits})
     catalog = rs.Catalog.from_table(table, columns={"id": "star", "priority": "-rank", "visits": "n"})
-    folder = tmp_path / "survey"
-    return catalog, rs.plan_survey(catalog, instrument(), tiling(), allocator="nearest", folder=folder)
+    return catalog, begin(catalog, tmp_path)
 
 
 def test_the_columns_of_the_catalog_are_read_in_tables_of_targets(ranked):
@@ -44,8 +53,7 @@ def test_the_columns_of_the_catalog_are_read_in_tables_of_targets(ranked):
 def test_added_targets_have_the_number_of_visits_of_the_plan(tmp_path):
     """Regression: one visit of added targets was requested although the survey was planned with another number."""
     sky = rs.Catalog(targets().coord, id=targets().id)
-    options = {"allocator": "nearest", "folder": tmp_path / "survey", "visits": 3}
-    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey = begin(sky, tmp_path, visits=3)
     survey.record(events(target=[5000], ra=CENTER.ra.deg, dec=CENTER.dec.deg))
     assert survey.state(sky, visits=3).requested[-1] == 3
 
@@ -70,7 +78,7 @@ def test_a_target_with_the_identifier_of_another_target(tmp_path):
 def test_the_state_of_standards_and_sky_positions(tmp_path):
     """Regression: the table of the state contained requested visits of standards and sky positions."""
     sky = targets(kinds=True)
-    survey = rs.plan_survey(sky, instrument(), tiling(), allocator="nearest", folder=tmp_path / "survey")
+    survey = begin(sky, tmp_path)
     state = survey.state(sky)
     status = survey_status(survey, state)
     for name in ("requested", "left"):
@@ -82,10 +90,9 @@ def test_the_state_of_standards_and_sky_positions(tmp_path):
 def test_a_catalog_that_changed_is_refused(tmp_path, replanned):
     """Regression: the command status accepted another catalog, with wrong numbers."""
     sky = targets()
-    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
-    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey = begin(sky, tmp_path)
     if replanned:
-        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
+        plan_again(sky, survey, survey.state(sky))
     SurveyState.read(tmp_path / "survey", sky)
     other = rs.Catalog(sky.coord, id=sky.id, priority=-sky.priority, visits=sky.visits)
     with pytest.raises(rs.InputError, match="must be that of the first plan, with 60 targets, .* record a table"):
@@ -106,15 +113,14 @@ def test_identifiers_of_digits_and_dates_with_a_time_zone(tmp_path):
     """Regression: numbers in place of text of digits, dates that end in Z, and times in FITS tables were refused."""
     sky = targets()
     sky = rs.Catalog(sky.coord, id=sky.id.astype(str), visits=sky.visits)
-    survey = rs.plan_survey(sky, instrument(), tiling(), allocator="nearest", folder=tmp_path / "survey")
+    survey = begin(sky, tmp_path)
     survey.record(events(target=[1003, 1004], visits=5))
     survey.record(events(tile=11, date="2026-01-03T05:00:00Z", state="done"))
     table = QTable({"tile": [12], "date": Time(["2026-01-04T23:00:00"]), "state": ["done"]})
     table.write(tmp_path / "night.fits")
     survey.record(tmp_path / "night.fits")
     state = survey.state(sky)
-    assert state.kept[1].date == "2026-01-04"
-    assert state.requested[[3, 4]].tolist() == [5, 5]
+    assert (state.kept[1].date, state.requested[[3, 4]].tolist()) == ("2026-01-04", [5, 5])
     assert state.kept[0].date == "2026-01-03"
     with pytest.raises(rs.InputError, match="must be text, as in the catalog, got numbers"):
         survey.record(events(target=12, visits=5))
@@ -135,11 +141,10 @@ def test_visits_are_not_attributed_to_the_targets_of_another_catalog(tmp_path, c
     sky = targets()
     table = QTable({"id": sky.id, "ra": sky.coord.ra, "dec": sky.coord.dec, "priority": sky.priority})
     sky = rs.Catalog.from_table(table)
-    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
-    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey = begin(sky, tmp_path)
     survey.record(events(tile=11, date="2026-01-03"))
     if replanned:
-        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
+        plan_again(sky, survey, survey.state(sky))
         assert (survey.folder / "events/state.npz").exists()
     observed = survey.state(sky).observed.sum()
     # the types of columns, which depend on the format of the file, do not matter
@@ -155,16 +160,12 @@ def test_visits_and_columns_that_rules_use_are_those_of_the_first_catalog(tmp_pa
     """Catalogs with other magnitudes under a rule on magnitudes, or with other numbers of visits, were accepted."""
     sky = replace(targets(), visits=np.tile([1, 2], 30), extra=QTable({"mag": np.linspace(5, 15, 60)}))
     magnitudes = rs.AllocationOptions("nearest", constraints=["magnitude mag 6 inf science"])
-    options = {"allocator": magnitudes, "folder": tmp_path / "survey"}
-    survey = rs.plan_survey(sky, instrument(), tiling(), **options)
+    survey = begin(sky, tmp_path, allocator=magnitudes)
     survey.record(events(tile=11, date="2026-01-03"))
     if replanned:
-        rs.plan_survey(sky, instrument(), tiling(), visits=survey.state(sky), resume=True, **options)
-    other = (
-        replace(sky, visits=sky.visits[::-1])
-        if column == "visits"
-        else replace(sky, extra=QTable({"mag": sky.extra["mag"][::-1]}))
-    )
+        plan_again(sky, survey, survey.state(sky), allocator=magnitudes)
+    mag = QTable({"mag": sky.extra["mag"][::-1]})
+    other = replace(sky, visits=sky.visits[::-1]) if column == "visits" else replace(sky, extra=mag)
     observed = survey.state(sky).observed.sum()
     with pytest.raises(rs.InputError, match=f"must be that of the first plan, .* other values of '{column}'"):
         survey.state(other)
@@ -175,16 +176,13 @@ def test_visits_and_columns_that_rules_use_are_those_of_the_first_catalog(tmp_pa
 def test_the_catalog_is_compared_at_its_own_epoch_and_without_the_rule(tmp_path):
     """Regression: a survey with an epoch was compared with the targets at another epoch."""
     coord = targets().coord
-    moving = SkyCoord(
-        coord.ra, coord.dec, pm_ra_cosdec=np.full(60, 9.0) * u.mas / u.yr, pm_dec=np.ones(60) * u.mas / u.yr
-    )
-    sky = rs.Catalog(moving, epoch=2016.0)
+    motion = np.ones(60) * u.mas / u.yr
+    sky = rs.Catalog(SkyCoord(coord.ra, coord.dec, pm_ra_cosdec=9 * motion, pm_dec=motion), epoch=2016.0)
     rule = rs.survey.VisitRule(visits=2, table=Table({"observed": [0], "priority": [3.0]}))
-    options = {"allocator": "nearest", "folder": tmp_path / "survey", "epoch": 2026.5}
-    survey = rs.plan_survey(sky, instrument(), tiling(), visits=rule, **options)
+    survey = begin(sky, tmp_path, epoch=2026.5, visits=rule)
     survey.record(events(tile=11, date="2026-01-03"))
     state = survey.state(sky, rule=rule)
-    again = rs.plan_survey(sky, instrument(), tiling(), visits=state, resume=True, **options)
+    again = plan_again(sky, survey, state, epoch=2026.5)
     assert survey_status(again, again.state(sky, rule=rule))["n_observed"][0] == state.observed.sum() > 0
     with pytest.raises(rs.InputError, match="the catalog must be that of the first plan"):
         again.state(sky.at_epoch(2026.5), rule=rule)
@@ -193,12 +191,11 @@ def test_the_catalog_is_compared_at_its_own_epoch_and_without_the_rule(tmp_path)
 def test_further_columns_are_compared_when_the_survey_is_planned_again(tmp_path):
     """Further columns do not matter for the state, but new plans need those of the first plan."""
     sky = targets()
-    options = {"allocator": "nearest", "folder": tmp_path / "survey"}
     full = replace(sky, extra=QTable({"g": np.full(60, 15.0)}))
-    survey = rs.plan_survey(full, instrument(), tiling(), **options)
+    survey = begin(full, tmp_path)
     survey.record(events(tile=11, date="2026-01-03"))
     state = survey.state(sky)
     assert (state.observed == survey.state(full).observed).all()
     with pytest.raises(rs.InputError, match="extra differs"):
-        rs.plan_survey(sky, instrument(), tiling(), visits=state, resume=True, **options)
-    assert len(rs.plan_survey(full, instrument(), tiling(), visits=survey.state(full), resume=True, **options)) == 6
+        plan_again(sky, survey, state)
+    assert len(plan_again(full, survey, survey.state(full))) == 6

@@ -21,9 +21,7 @@ pytestmark = [
     pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning"),
 ]
 CASE = targets(), instrument(), tiling()
-
-
-FULL = 28
+EXHAUSTIVE, FULL = pytest.mark.exhaustive, 28
 
 
 def record(folder, table):
@@ -89,12 +87,7 @@ def fill_after(seconds, function, *arguments):
 @pytest.mark.filterwarnings("ignore:.*recorded positions")
 @pytest.mark.parametrize(
     ("interrupt", "n"),
-    [
-        (kill_after, 6),
-        (fill_after, 2),
-        pytest.param(kill_after, 60, marks=pytest.mark.exhaustive),
-        pytest.param(fill_after, 20, marks=pytest.mark.exhaustive),
-    ],
+    [(kill_after, 6), (fill_after, 2), *(pytest.param(how, 15, marks=EXHAUSTIVE) for how in (kill_after, fill_after))],
 )
 def test_interrupted_at_random_moments(tmp_path, rng, monkeypatch, interrupt, n):
     """Each command is interrupted up to four times, and then repeated; ``n`` processes are interrupted."""
@@ -118,7 +111,7 @@ def test_interrupted_at_random_moments(tmp_path, rng, monkeypatch, interrupt, n)
             assert content(folder) == expected[k], k
 
 
-@pytest.mark.parametrize("n", [2, pytest.param(10, marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("n", [2, pytest.param(4, marks=EXHAUSTIVE)])
 def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
     """The record and the plan are whole, whichever was first, and the rest is planned as from the recorded state."""
     context = multiprocessing.get_context("fork")
@@ -139,8 +132,7 @@ def test_a_plan_is_killed_while_another_process_records(tmp_path, rng, n):
         processes[0].kill()
         for process in processes:
             process.join()
-        assert processes[1].exitcode == 0
-        assert len(rs.survey.verify_survey(folder)) == 0
+        assert (processes[1].exitcode, len(rs.survey.verify_survey(folder))) == (0, 0)
         plan(home)
         survey = rs.Survey.read(folder)
         allocator = rs.AllocationOptions("nearest", subpriority=1)
@@ -167,15 +159,10 @@ def test_equal_changes_of_targets_are_known(tmp_path):
     new = events(target=[1001, 7], visits=[2, 3], ra=[np.nan, 120.0], dec=[np.nan, 30.0], priority=[np.nan, 1.0])
     assert survey.record(new)["n_events"] == 2
     assert survey.record(new) == {"n_events": 0, "n_known": 2, "n_ignored": 0, "changes": {}}
-    assert survey.record(events(target=[1001, 1002], visits=[2, 2])) == {
-        **{"n_events": 1, "n_known": 1, "n_ignored": 0},
-        "changes": {"targets changed": ["1002"]},
-    }
-    assert survey.record(events(target=1001, visits=1))["n_events"] == 1
-    assert survey.record(events(target=1001, visits=2))["n_events"] == 1
-    assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
-    assert survey.record(events(target=[1001], category=["longer"]))["n_events"] == 1
-    assert survey.record(events(target=[1001], category=["a"]))["n_events"] == 1
+    found = survey.record(events(target=[1001, 1002], visits=[2, 2]))
+    assert found == {"n_events": 1, "n_known": 1, "n_ignored": 0, "changes": {"targets changed": ["1002"]}}
+    for values in ({"visits": 1}, {"visits": 2}, *({"category": [name]} for name in ("a", "longer", "a"))):
+        assert survey.record(events(target=[1001], **values))["n_events"] == 1
     assert survey.record(events(target=[1001], category=["a"]))["n_known"] == 1
     assert survey.state(CASE[0]).catalog.visits[[1, 2, 60]].tolist() == [2, 2, 3]
 
