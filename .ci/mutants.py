@@ -39,40 +39,54 @@ PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
     "probability/collision_probability probability/surrogate input_validation"
 )
+COUNTS = "collision/count probability/targets probability/hard_cases probability/collision_probability"
+
+
+def files(package, names):
+    """Return the paths of some modules of a package."""
+    return [f"rfpsurvey/{package}/{name}.py" for name in names.split()]
+
+
 TESTS = {
-    "rfpsurvey/*/_plugin.py": "allocation/allocator_plugins probability/method_plugins plugins",
-    "rfpsurvey/probability/_run.py": "compare/instruments " + PROBABILITY,
-    "rfpsurvey/collision/*": COLLISION,
-    "rfpsurvey/allocation/*": ALLOCATION,
-    "rfpsurvey/probability/*": PROBABILITY,
-    "rfpsurvey/_kernels/allocation.py": "allocation/methods collision/count probability/targets " + ALLOCATION,
-    "rfpsurvey/_kernels/areas.py": "probability/closed_form probability/collision_probability",
-    "rfpsurvey/_kernels/arms.py": "positioner/positioner " + COLLISION + " probability/quadrature",
+    "rfpsurvey/_assignment/plugin.py": "allocation/allocator_plugins plugins " + ALLOCATION,
+    "rfpsurvey/_assignment/*": ALLOCATION,
+    "rfpsurvey/_studies/run.py": "compare/instruments " + PROBABILITY,
+    "rfpsurvey/_studies/methods.py": "probability/method_plugins plugins " + PROBABILITY,
+    **dict.fromkeys(
+        files("_studies", "collision_probability intervals question quadrature simulate targets surrogate"), PROBABILITY
+    ),
+    **dict.fromkeys(
+        files("_instruments", "arms count_collisions find_collisions collision_methods motion moves"), COLLISION
+    ),
+    "rfpsurvey/_instruments/compare_projections.py": "observing/models",
+    **dict.fromkeys(files("_sky", "conditions observed_field observed_plane"), "observing/observing observing/models"),
+    "rfpsurvey/_sky/distortion_map.py": "projection/distortion_map",
+    "rfpsurvey/_survey/selection/*": "selection/bits selection/work selection/potential selection/replay selection/run",
+    "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets " + ALLOCATION,
+    "rfpsurvey/_kernels/arms.py": (
+        "positioner/positioner focal_plane/focal_plane focal_plane/coverage allocation/sky allocation/allocate "
+        + COLLISION
+        + " probability/quadrature probability/collision_probability"
+    ),
     "rfpsurvey/_kernels/batch.py": (
-        "collision/count probability/targets probability/hard_cases probability/collision_probability"
+        "collision/methods collision/exact_arithmetic selection/work selection/replay selection/enumeration " + COUNTS
     ),
     "rfpsurvey/_kernels/collisions.py": COLLISION + " allocation/repair probability/quadrature",
-    "rfpsurvey/_kernels/conflicts.py": "allocation/search allocation/optimal allocation/repair allocation/sky",
-    "rfpsurvey/_kernels/gaps.py": "allocation/sky",
-    "rfpsurvey/_kernels/queues.py": "probability/targets probability/quadrature probability/collision_probability",
-    "rfpsurvey/_kernels/reach.py": (
-        "focal_plane/focal_plane focal_plane/coverage allocation/allocate probability/collision_probability"
+    "rfpsurvey/_kernels/conflicts.py": (
+        "allocation/search allocation/optimal allocation/repair allocation/sky allocation/quotas "
+        "allocation/random_quotas"
     ),
-    "rfpsurvey/_kernels/reduce.py": "allocation/search allocation/optimal allocation/quotas allocation/random_quotas",
-    "rfpsurvey/_kernels/reference.py": "collision/methods collision/exact_arithmetic",
+    "rfpsurvey/_kernels/queues.py": (
+        "probability/closed_form probability/targets probability/quadrature probability/collision_probability"
+    ),
     "rfpsurvey/_kernels/repair.py": (
         "allocation/repair allocation/quotas allocation/random_quotas allocation/sky allocation/allocate"
     ),
-    "rfpsurvey/_kernels/realizations.py": "selection/work selection/replay selection/enumeration",
-    "rfpsurvey/selection/*": "selection/bits selection/work selection/potential selection/replay selection/run",
-    "rfpsurvey/observing/*": "observing/observing observing/models",
-    "rfpsurvey/instrument/_compare_projections.py": "observing/models",
-    "rfpsurvey/projection/_distortion_map.py": "projection/distortion_map",
-    "rfpsurvey/_kernels/simulate.py": "probability/targets probability/hard_cases probability/collision_probability",
+    "rfpsurvey/_kernels/simulate.py": COUNTS.partition(" ")[2],
 }
 # These modules, which rfpsurvey and its tests import, are imported only once, not for each mutant.
 IMPORTS = "astropy.coordinates astropy.table matplotlib.figure scipy.optimize scipy.spatial scipy.stats shapely"
-EXCEPT = ("*/__init__.py", "rfpsurvey/collision/_gpu.py")
+EXCEPT = ("*/__init__.py", "rfpsurvey/_instruments/gpu.py")
 
 COMPARISONS = {
     ast.Lt: (ast.LtE, ast.GtE),

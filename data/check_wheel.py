@@ -19,8 +19,8 @@ LARGEST = {
     "rfpsurvey/presets/*.toml": MOST_CODE,
     "rfpsurvey/report/page.*": MOST_CODE,
     "rfpsurvey/report/scripts/*": MOST_CODE,
-    "rfpsurvey/catalog/*.packed": 150_000,
-    "rfpsurvey/probability/surrogate.npz": 20_000,
+    "rfpsurvey/_sky/*.packed": 150_000,
+    "rfpsurvey/_studies/surrogate.npz": 20_000,
     "rfpsurvey-*.dist-info/*": 25_000,
 }
 """Largest compressed size in bytes of the files that match each pattern."""

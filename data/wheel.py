@@ -3,7 +3,7 @@
 The ECSV text of a catalog is divided into blocks. Each block is compressed by bzip2 or LZMA, whichever gives the
 smaller result, and preceded by its size. The first block describes the others. Each other block is a column of whole
 numbers, stored as bytes: all most significant bytes, then all bytes of the next lower significance, and so on.
-``rfpsurvey/catalog/_packed.py`` restores the text.
+``rfpsurvey/_sky/example_files.py`` restores the text.
 """
 
 import bz2
@@ -52,7 +52,7 @@ class BuildWithExamples(build_py):
         """Run the build. An editable installation reads ``data/`` directly."""
         super().run()
         if not self.editable_mode:
-            folder = Path(self.build_lib) / "rfpsurvey" / "catalog" / "examples"
+            folder = Path(self.build_lib) / "rfpsurvey" / "_sky" / "examples"
             self.mkpath(str(folder))
             for name, decimals in EXAMPLES.items():
                 text = gzip.decompress((DATA / name).read_bytes()).decode()

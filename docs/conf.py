@@ -7,7 +7,7 @@ from pathlib import Path
 from sphinx_astropy.conf.v3 import *
 from typer.testing import CliRunner
 
-from rfpsurvey._cli import app as command_line
+from rfpsurvey._cli.application import app as command_line
 
 sys.path.insert(0, str(Path(__file__).parent))
 from inventories import linked_types, write_inventories

@@ -5,7 +5,7 @@ From a catalog, the package computes the positions of the targets on the focal p
 positioner, the allocation, the poses of the arms, the collisions, and the score of a tile, in this order.
 """
 
-from rfpsurvey._lazy import importer
+from rfpsurvey._common.lazy import importer
 
 # these imports are for type checkers and editors, which replace False by True
 TYPE_CHECKING = False

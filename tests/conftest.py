@@ -12,8 +12,9 @@ from hypothesis import settings
 
 import rfpsurvey as rs
 from packages import HERS
-from rfpsurvey import _cli, _plugins
-from rfpsurvey._cli import _process
+from rfpsurvey import _cli
+from rfpsurvey._cli import process as _process
+from rfpsurvey._common import plugins as _plugins
 
 # The imported modules and the collected tests exist until the end. Excluding them from garbage collection saves time.
 gc.disable()

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from rfpsurvey import allocation, collision, probability, tiling
-from rfpsurvey.plans._plan import FORMATS
+from rfpsurvey._field.plan_files import FORMATS
 
 ROOT = Path(__file__).parent.parent
 PACKAGE, TESTS = ROOT / "rfpsurvey", ROOT / "tests"
@@ -54,16 +54,37 @@ def test_no_package_reaches_for_private_members_of_another():
     assert not found
 
 
-def test_no_package_imports_private_modules_of_another():
+def imports_of(path):
+    """Return the modules, the names and the line numbers of the imports from rfpsurvey."""
+    for node in nodes_of(path):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").partition(".")[0] == "rfpsurvey":
+            yield node.module.split("."), [alias.name for alias in node.names], f"{path.name}:{node.lineno}"
+
+
+def test_no_module_imports_private_names_of_another():
+    """Modules of the same package may have private names, such as those of ``plot``."""
     found = []
     for path in FILES:
-        for node in nodes_of(path):
-            if isinstance(node, ast.ImportFrom) and node.module and node.module.startswith("rfpsurvey."):
-                parts = node.module.split(".")
-                if len(parts) > 2 and private(parts[2]) and parts[1] != package_of(path):
-                    found.append(f"{path.name}:{node.lineno} {node.module}")
-                names = [alias.name for alias in node.names if private(alias.name) and parts[1] != package_of(path)]
-                found += [f"{path.name}:{node.lineno} {name}" for name in names]
+        for module, names, line in imports_of(path):
+            modules = {file.stem for file in PACKAGE.joinpath(*module[1:]).glob("*")}
+            inner = [*module[2:], *names] if module[1:2] != [package_of(path)] else {*names} - modules
+            found += [f"{line} {name}" for name in inner if private(name)]
+    assert not found
+
+
+def test_public_modules_contain_imports_only_and_are_not_imported():
+    public = [path for path in PACKAGE.glob("[a-z]*.py") if path.stem != "errors"]
+    assert len(public) > 15
+    for path in public:
+        kinds = [type(node) for node in ast.parse(path.read_text()).body]
+        assert kinds == [ast.Expr, *[ast.ImportFrom] * (len(kinds) - 2), ast.Assign], path.name
+    stems = {path.stem for path in public}
+    found = [
+        f"{line} {names}"
+        for path in {*FILES} - {*public, PACKAGE / "__init__.py"}
+        for module, names, line in imports_of(path)
+        if stems.intersection(module[1:2] or names)
+    ]
     assert not found
 
 
@@ -76,7 +97,7 @@ def test_public_functions_have_few_parameters():
     """All parameters except the first three are passed by name. Commands and kernels are exempt."""
     long = []
     for path in FILES:
-        if package_of(path) in ("_cli", "_kernels", "_readers"):
+        if package_of(path) in ("_cli", "_kernels", "_common"):
             continue
         for node in nodes_of(path):
             if isinstance(node, FUNCTIONS) and not private(node.name):
@@ -87,9 +108,9 @@ def test_public_functions_have_few_parameters():
 
 
 def test_folders_of_tests_are_those_of_the_package():
-    packages = {path.parent.name.removeprefix("_") for path in PACKAGE.glob("*/__init__.py")}
+    packages = {path.stem.removeprefix("_") for path in PACKAGE.glob("*")}
     folders = {path.parent.name for path in TESTS.glob("*/test_*.py")}
-    assert folders - packages == {"benchmarks", "cuda", "figures", "reproduction"}
+    assert folders - packages == {"benchmarks", "cuda", "figures", "readers", "reproduction"}
 
 
 TABLES = (allocation.METHODS, collision.METHODS, probability.METHODS, tiling.METHODS)

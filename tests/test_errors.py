@@ -11,7 +11,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from rfpsurvey import errors
-from rfpsurvey._methods import Method, table_of
+from rfpsurvey._common.descriptions import Method, table_of
 from rfpsurvey.errors import short, warn, warn_of_unused
 
 ROBOT = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import pytest
 
 import rfpsurvey
-from rfpsurvey._executors import in_order, map_in_order, released, submit
+from rfpsurvey._common.executors import in_order, map_in_order, released, submit
 
 SECONDS = 5.0
 
@@ -23,7 +23,7 @@ import os, sys, time, types
 sys.modules.setdefault("rfpsurvey", types.ModuleType("rfpsurvey")).__path__ = [PACKAGE]
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from rfpsurvey._executors import map_in_order
+from rfpsurvey._common.executors import map_in_order
 
 def work(seconds):
     time.sleep(seconds)
@@ -37,8 +37,8 @@ if __name__ == "__main__":
 
 COMMAND = """
 import os, sys, time
-from rfpsurvey.inputs._groups import WorkerKeys
-from rfpsurvey._cli._surveys import workers
+from rfpsurvey._survey.key_groups import WorkerKeys
+from rfpsurvey._cli.surveys import workers
 
 if __name__ == "__main__":
     with workers(WorkerKeys(2, processes=True)) as pool:

@@ -105,13 +105,13 @@ def test_packages_that_a_plan_does_not_need_are_imported_on_use(stages):
     _, before, planned, after, plot = stages
     names = {f"rfpsurvey.{name}" for name in ON_USE}
     assert not names & before
-    unused = {"matplotlib", "pandas", "pyarrow", "rfpsurvey.allocation._milp"}
-    assert not planned & {*unused, "rfpsurvey.plot", "rfpsurvey.survey", "rfpsurvey.report"}
+    unused = {"matplotlib", "pandas", "pyarrow", "rfpsurvey._assignment.milp"}
+    assert not planned & {*unused, "rfpsurvey.plot", "rfpsurvey._survey", "rfpsurvey.report"}
     assert names <= after
     assert "rfpsurvey.plot" in plot
 
 
-@pytest.mark.parametrize("name", ["rfpsurvey", "rfpsurvey.allocation", "rfpsurvey.report"])
+@pytest.mark.parametrize("name", ["rfpsurvey", "rfpsurvey.report"])
 def test_type_checkers_see_the_names_that_are_imported_on_use(name):
     package = import_module(name)
     nodes = [node for node in ast.parse(Path(package.__file__).read_text()).body if isinstance(node, ast.If)]

@@ -14,8 +14,9 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from processes import lock_and_wait
-from rfpsurvey import InputError, _io
-from rfpsurvey._folder import RequestFolder, check_file, locked, read_index, read_verified
+from rfpsurvey._common import io as _io
+from rfpsurvey._common.folder import RequestFolder, check_file, locked, read_index, read_verified
+from rfpsurvey.errors import InputError
 
 N_THREADS, N_WRITES = 6, 60
 
@@ -160,7 +161,7 @@ def test_a_run_that_ends_while_a_file_is_replaced_leaves_a_valid_file(tmp_path, 
                 path.write_bytes(content)
             raise StopError
 
-        monkeypatch.setattr("rfpsurvey._folder.write_bytes", stop)
+        monkeypatch.setattr("rfpsurvey._common.folder.write_bytes", stop)
         with pytest.raises(StopError):
             folder.put("state.npz", b"new")
         monkeypatch.undo()

@@ -13,7 +13,7 @@ import pytest
 from numba.core.caching import IndexDataCacheFile
 
 import rfpsurvey
-from rfpsurvey import _jit
+from rfpsurvey._kernels import jit as _jit
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "fork"), reason="needs fork")
 

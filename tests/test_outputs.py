@@ -9,8 +9,8 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey import _io
-from rfpsurvey._outputs import check_new_folder, check_output, check_separate
+from rfpsurvey._common import io as _io
+from rfpsurvey._common.outputs import check_new_folder, check_output, check_separate
 
 CENTER = SkyCoord("6h20m +23d")
 FULL = """
@@ -134,7 +134,7 @@ def test_a_new_folder_in_which_nothing_can_be_written_is_removed(tmp_path, monke
     def refuse(*_, **__):
         raise rs.InputError("no space")
 
-    monkeypatch.setattr("rfpsurvey._folder.write_bytes", refuse)
+    monkeypatch.setattr("rfpsurvey._common.folder.write_bytes", refuse)
     with pytest.raises(rs.InputError, match="no space"):
         rs.plan_survey(CENTER.reshape(1), "moons", CENTER.reshape(1), folder=tmp_path / "survey")
     assert os.listdir(tmp_path) == []

@@ -16,7 +16,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from packages import CENTER, FOUR, HERS, PAIR, always, sky_of
-from rfpsurvey import _plugins
+from rfpsurvey._common import plugins as _plugins
 
 EXAMPLE = Path(__file__).parent.parent / "docs" / "examples" / "plugin"
 
@@ -168,7 +168,7 @@ def test_comparisons_take_both(small, hers):
 
 def test_instruments_are_compared_without_those_that_fail(hers, install, monkeypatch):
     install("bad", "import not_there", instruments={"bad": "f"})
-    monkeypatch.setattr("rfpsurvey.instrument._instrument._shipped", dict)
+    monkeypatch.setattr("rfpsurvey._instruments.instrument._shipped", dict)
     toy = EXAMPLE / "rfpsurvey_example" / "toy.toml"
     install("mine", f"toy = {str(toy)!r}", instruments={"toy": "toy"})
     with pytest.warns(rs.RfpsurveyWarning, match="the instrument 'bad' of bad 1.0"):

@@ -10,8 +10,8 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey import _progress
-from rfpsurvey._progress import Progress
+from rfpsurvey._common import executors as _progress
+from rfpsurvey._common.executors import Progress
 
 
 class Terminal(io.StringIO):

@@ -9,7 +9,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey._roles import count_roles, has_role, last_role, to_kinds, without_role, without_science
+from rfpsurvey._sky.arrays import count_roles, has_role, last_role, to_kinds, without_role, without_science
 
 ROLES = ("science", "standard", "sky")
 KINDS = [kind for n in (1, 2, 3) for kind in permutations(ROLES, n)]

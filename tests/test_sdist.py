@@ -96,7 +96,11 @@ def problems_of(monkeypatch):
 
 def test_an_unexpected_or_large_file_in_the_wheel_is_named(tmp_path, problems_of):
     path = tmp_path / "some.whl"
-    expected = {"rfpsurvey/tile/_tile.py": 900, "rfpsurvey/presets/desi.toml": 900, "rfpsurvey-1.0.dist-info/RECORD": 9}
+    expected = {
+        "rfpsurvey/_field/tile.py": 900,
+        "rfpsurvey/presets/desi.toml": 900,
+        "rfpsurvey-1.0.dist-info/RECORD": 9,
+    }
     unexpected = {"tests/test_sdist.py": 9, "rfpsurvey/_kernels/__pycache__/arms.nbi": 9, "rfpsurvey/notes.txt": 9}
     large = {"rfpsurvey/_large.py": 10_001, "rfpsurvey/probability/surrogate.npz": 1_400_000}
     for files, words in ((expected, []), ({**expected, **unexpected, **large}, ["smaller", *unexpected, *large])):

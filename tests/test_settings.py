@@ -16,9 +16,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import rfpsurvey as rs
-from rfpsurvey._settings import Checked, Settings, help_texts, option, options_of
-from rfpsurvey.inputs._keys import Key, keys_of
-from rfpsurvey.observing._sites import SITES
+from rfpsurvey._common.settings import Checked, Settings, help_texts, option, options_of
+from rfpsurvey._sky.conditions import SITES
+from rfpsurvey._survey.key_types import Key, keys_of
 
 MM, DEG, S, UM = u.mm, u.deg, u.s, u.um
 RULE = Table({"class": ["star", "any"], "last": ["bad", ""], "priority": [3.0, np.nan], "visits": [np.nan, 2]})

@@ -5,7 +5,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.plot._axes import MARKERS, SERIES
 
 scan = {"central_arm": 8.25 * u.mm, "ratio": np.linspace(1, 2, 6), "pitch": 25.6 * u.mm, "clearance": 2.25 * u.mm}
 questions = [("independent", None), ("allocated", 4), ("allocated", 1), ("collision_free", 1), ("collision_free", 2)]

@@ -8,7 +8,8 @@ other arm.
 import matplotlib.pyplot as plt
 import numpy as np
 
-from rfpsurvey._kernels import collisions, reference
+from rfpsurvey._kernels import batch as reference
+from rfpsurvey._kernels import collisions
 from rfpsurvey.plot._scene import capsules
 
 SEPARATION, N_POINTS = 5.0782, 3

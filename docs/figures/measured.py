@@ -11,7 +11,7 @@ import numpy as np
 import trade_offs
 
 import rfpsurvey as rs
-from rfpsurvey.observing import MODELS, field_of_model
+from rfpsurvey._sky.observed_field import MODELS, field_of_model
 
 CENTER = "10h00m00s +30d00m00s"
 EFFORTS = {"overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [4, 16, 64]}

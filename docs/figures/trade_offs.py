@@ -13,7 +13,7 @@ from matplotlib.transforms import Bbox
 from PIL import Image
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import as_instrument
+from rfpsurvey._instruments.instrument import as_instrument
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#000000", "#B8860B", "#6E6E6E")
 GUIDE = 0.6231 * u.um

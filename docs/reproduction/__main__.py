@@ -14,7 +14,7 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).parents[1]))
 import rfpsurvey as rs
 from reproduction import EXPERIMENTS, reproduce
-from rfpsurvey._temporary import remove_all
+from rfpsurvey._common.temporary import remove_all
 
 
 def options_of(words: list[str] | None) -> argparse.Namespace:

@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Row
 
-from rfpsurvey._executors import map_with_progress
+from rfpsurvey._common.executors import map_with_progress
 from rfpsurvey.errors import used_elsewhere
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner

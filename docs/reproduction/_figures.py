@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey.plot._axes import new_grid
+from rfpsurvey.plot._axes import ARM, MARKERS, SERIES, new_grid
 from rfpsurvey.plot._designs import plot_probability, plot_residuals
 from rfpsurvey.plot._speed_accuracy import plot_speed_accuracy
-from rfpsurvey.plot._style import ARM, MARKERS, SERIES
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 from scipy.linalg import solve
 
-from rfpsurvey._units import to_generator, to_mm
+from rfpsurvey._common.units import to_generator, to_mm
 from rfpsurvey.errors import InputError
 
 __all__ = ["PUBLISHED", "PolynomialFit", "features", "fit_polynomial"]

@@ -9,21 +9,14 @@ from astropy.table import QTable
 from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim
 from reproduction._designs import Settings, each, error_of_fraction
 from reproduction._one_sky import one_sky
+from rfpsurvey._studies.intervals import INTERVALS, quantile, wilson
+from rfpsurvey._studies.run import run, summarize
+from rfpsurvey._studies.simulate import QUEUEING, Simulation
+from rfpsurvey._studies.targets import make_source
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import (
-    METHODS,
-    QUEUEING,
-    Precision,
-    ProbabilityQuestion,
-    RandomTargets,
-    collision_probability,
-    make_source,
-)
-from rfpsurvey.probability._intervals import INTERVALS, quantile, wilson
-from rfpsurvey.probability._run import run, summarize
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability import METHODS, Precision, ProbabilityQuestion, RandomTargets, collision_probability
 
 __all__ = ["coverage", "intervals"]
 

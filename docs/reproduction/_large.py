@@ -7,7 +7,8 @@ from astropy.table import QTable, Row
 from reproduction._claims import NOT_REPRODUCED, REPRODUCED, Claim, verdict
 from reproduction._designs import LARGE, D, Settings, each, estimate, numbers_of, random_designs, scaled
 from reproduction._fit import PUBLISHED, features, fit_polynomial
-from rfpsurvey.probability import Estimate, Precision, interior_probability, surrogate_probability
+from rfpsurvey._studies.surrogate import interior_probability
+from rfpsurvey.probability import Estimate, Precision, surrogate_probability
 
 __all__ = ["NAMED", "fit", "large", "uniform_estimate"]
 

@@ -5,12 +5,13 @@ import numpy as np
 from astropy.table import QTable
 
 from reproduction._designs import Settings, each, error_of_fraction
+from rfpsurvey._studies.run import summarize
+from rfpsurvey._studies.simulate import Simulation
+from rfpsurvey._studies.targets import make_source
 from rfpsurvey.allocation import AllocationOptions
 from rfpsurvey.focal_plane import FocalPlane
 from rfpsurvey.positioner import Positioner
-from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets, make_source
-from rfpsurvey.probability._run import summarize
-from rfpsurvey.probability._simulate import Simulation
+from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets
 
 __all__ = ["one_sky"]
 

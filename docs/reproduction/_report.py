@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import Table
 
 from reproduction._figures import draw_reproduction
-from rfpsurvey._io import read_table
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey.report._blocks import Page, Picture, Rows, Section
 from rfpsurvey.report._tables import without_private
 

@@ -19,9 +19,11 @@ from reproduction._poisson import poisson
 from reproduction._report import TABLES, page_of_claims
 from reproduction._small import small
 from reproduction._speed import speed
-from rfpsurvey._executors import released
-from rfpsurvey._folder import locked
-from rfpsurvey._io import check_output, to_path, write_table, writing_to
+from rfpsurvey._common.executors import released
+from rfpsurvey._common.folder import locked
+from rfpsurvey._common.io import write_table, writing_to
+from rfpsurvey._common.outputs import check_output
+from rfpsurvey._common.read_tables import to_path
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
 from rfpsurvey.report._write import MADE_BY
 

@@ -5,10 +5,10 @@ from pathlib import Path
 
 import numpy as np
 
-from rfpsurvey._executors import map_with_progress
-from rfpsurvey._io import writing_to
-from rfpsurvey._units import to_generator
-from rfpsurvey.probability import AXES, interior_probability
+from rfpsurvey._common.executors import map_with_progress
+from rfpsurvey._common.io import writing_to
+from rfpsurvey._common.units import to_generator
+from rfpsurvey._studies.surrogate import AXES, interior_probability
 
 __all__ = ["make_surrogate"]
 

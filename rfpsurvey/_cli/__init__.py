@@ -1,8 +1,8 @@
 """The subcommands of the program ``rfpsurvey``, which parse options, call the library, and write the results."""
 
-from rfpsurvey._cli._process import main
-from rfpsurvey._lazy import importer
+from rfpsurvey._cli.process import main
+from rfpsurvey._common.lazy import importer
 
 __all__ = ["app", "main"]
 
-__getattr__ = importer(__name__, {"_main": ("app",)})  # an interrupt during these imports has a message
+__getattr__ = importer(__name__, {"application": ("app",)})  # an interrupt during these imports has a message

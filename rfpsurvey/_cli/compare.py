@@ -1,20 +1,27 @@
-"""The command ``rfpsurvey compare``."""
+"""The commands ``rfpsurvey compare``, ``compare-allocators`` and ``benchmark``."""
 
 import sys
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 from typing import Annotated
 
 import astropy.units as u
+import typer
 
 import rfpsurvey as rs
-from rfpsurvey import inputs
-from rfpsurvey._cli import _app, _print, _surveys
-from rfpsurvey._cli._command import command
-from rfpsurvey._io import write_table
-from rfpsurvey.compare import COMPARED, parts_of
+from rfpsurvey._cli import application as _main
+from rfpsurvey._cli import command as _app
+from rfpsurvey._cli import printing as _print
+from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli.command import command
+from rfpsurvey._common.io import write_table
+from rfpsurvey._field.recorded import north_of_date
+from rfpsurvey._studies.compare_instruments import COMPARED, parts_of
+from rfpsurvey._survey import key_groups, key_objects
+from rfpsurvey._survey.key_objects import Given
+from rfpsurvey._survey.key_types import Located
 from rfpsurvey.errors import listed
-from rfpsurvey.inputs import Located
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -34,21 +41,21 @@ class CompareKeys:
     """
 
     instruments: Annotated[list[str] | None, Located] = None
-    instrument: inputs.StateKeys
-    catalog: inputs.CatalogKeys
-    options: inputs.OptionsOnly
-    output: inputs.TableOutputKeys
-    center: inputs.Center = None
-    position_angle: inputs.PositionAngle = 0 * u.deg
-    epoch: inputs.Epoch = None
+    instrument: key_groups.StateKeys
+    catalog: key_groups.CatalogKeys
+    options: key_groups.OptionsOnly
+    output: key_groups.TableOutputKeys
+    center: key_groups.Center = None
+    position_angle: key_groups.PositionAngle = 0 * u.deg
+    epoch: key_groups.Epoch = None
     targets_per_positioner: float | None = None
     density: float | None = None
     n_realizations: int | None = None
     allocators: Annotated[
         list[str] | None, f"Allocators to compare. By default, the allocators {listed(COMPARED)} are used."
     ] = None
-    rng: inputs.Seed = 0
-    workers: inputs.Workers = 1
+    rng: key_groups.Seed = 0
+    workers: key_groups.Workers = 1
 
 
 @command(
@@ -79,10 +86,12 @@ def compare(keys: CompareKeys) -> None:
         )
     if state.arm_model or state.margins:
         names = names or rs.available_instruments()
-    named = [inputs.InstrumentKeys(**vars(state), name=name) for name in names]
-    models = [_app.model_of(instrument_keys, lambda: inputs.time_of(None, keys.epoch)) for instrument_keys in named]
+    named = [key_groups.InstrumentKeys(**vars(state), name=name) for name in names]
+    models = [
+        _app.model_of(instrument_keys, lambda: key_objects.time_of(None, keys.epoch)) for instrument_keys in named
+    ]
     if keys.catalog.path is None:
-        inputs.warn_without_catalog(keys.catalog)
+        key_objects.warn_without_catalog(keys.catalog)
     with _surveys.workers(keys) as executor:
         table = rs.compare_instruments(
             "poisson" if keys.catalog.path is None else _app.read_catalog(keys.catalog),
@@ -119,3 +128,173 @@ def _print_comparison(table, *, with_margins: bool) -> None:
         _print.print_table(part)
     print()
     _print.print_text(table.meta["comparable"], "")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CompareAllocatorsKeys:
+    """The keys of the command.
+
+    Parameters
+    ----------
+    allocators : list[str], optional
+        Allocators to compare. By default, all allocators are compared.
+    """
+
+    catalog: key_groups.CatalogKeys
+    instrument: key_groups.InstrumentKeys
+    options: key_groups.OptionsOnly
+    output: key_groups.TableOutputKeys
+    allocators: list[str] | None = None
+    center: key_groups.Center = None
+    position_angle: key_groups.PositionAngle = 0 * u.deg
+    equinox: key_groups.Equinox = None
+    epoch: key_groups.Epoch = None
+    rng: key_groups.Seed = 0
+
+
+@command(
+    CompareAllocatorsKeys,
+    "instrument.name center position_angle epoch allocators options.constraints rng catalog.columns output.path "
+    "output.plot output.report output.overwrite",
+    argument="catalog.path",
+)
+def compare_allocators(keys: CompareAllocatorsKeys, _: Given) -> None:
+    r"""Compare allocators on the same field.
+
+    Examples
+    --------
+    rfpsurvey compare-allocators
+    rfpsurvey compare-allocators stars.fits --instrument moons \
+        --plot allocators.png --report allocators.html
+    rfpsurvey compare-allocators stars.fits --constraint sky=20 \
+        --allocator network_flow --allocator optimal
+    """
+    _app.check_outputs(keys.output, (keys.catalog.path, keys.instrument.name, keys.instrument.broken))
+    model = _app.model_of(keys.instrument, lambda: key_objects.time_of(None, keys.epoch))
+    targets, field = _app.targets_and_center(keys.catalog, keys.center, model, keys.rng)
+    with _app.seed_of(keys.catalog.path):
+        table, plans = rs.compare_allocators(
+            targets,
+            model,
+            north_of_date(field, keys.equinox),
+            allocators=keys.allocators,
+            options=rs.AllocationOptions(**keys.options),
+            return_tiles=True,
+            position_angle=keys.position_angle,
+            epoch=keys.epoch,
+            rng=keys.rng,
+        )
+    _print.finish_comparison(table, plans, keys.output)
+
+
+benchmark = typer.Typer(
+    no_args_is_help=True,
+    help="Measure the speed and the errors of the methods that find collisions or estimate collision probabilities, "
+    "for the arms of an instrument.",
+)
+_main.app.add_typer(benchmark, name="benchmark")
+PLOT = "Plot (.png, .pdf or .svg); the table is written to the same folder."
+OPTIONS = "instrument.name instrument.arm_model instrument.state_time repeats"
+EXAMPLES = """\b
+Examples:
+  rfpsurvey benchmark collisions
+  rfpsurvey benchmark collisions --instrument sdss_apo --method exact \\
+      --method sampled --plot sdss.pdf
+  rfpsurvey benchmark batches --instrument moons
+  rfpsurvey benchmark probability --instrument moons --plot moons.png
+"""
+OUTPUT = " rng output.plot output.report output.overwrite"
+
+
+@dataclass(frozen=True)
+class CollisionsOutputKeys(key_groups.OutputKeys):
+    """The files that the benchmark of collisions writes."""
+
+    plot: Annotated[Path, PLOT] = Path("benchmark_collisions.png")
+
+
+@dataclass(frozen=True)
+class ProbabilityOutputKeys(key_groups.OutputKeys):
+    """The files that the benchmark of probabilities writes."""
+
+    plot: Annotated[Path, PLOT] = Path("benchmark_probability.png")
+
+
+@dataclass(frozen=True, kw_only=True)
+class CollisionsKeys:
+    """The keys of the benchmark of collisions.
+
+    Parameters
+    ----------
+    methods : list[str], optional
+        Methods to compare. By default, all methods are compared.
+    repeats : int, optional
+        Maximum number of runs of each method.
+    """
+
+    instrument: key_groups.InstrumentKeys
+    methods: list[str] | None = None
+    repeats: int = 15
+    rng: key_groups.Seed = 0
+    output: CollisionsOutputKeys
+
+
+@dataclass(frozen=True, kw_only=True)
+class BatchesKeys:
+    """The keys of the benchmark of batches.
+
+    Parameters
+    ----------
+    repeats : int, optional
+        Number of calls with the same settings; the median time is shown.
+    """
+
+    instrument: key_groups.InstrumentKeys
+    repeats: int = 5
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProbabilityKeys:
+    """The keys of the benchmark of probabilities.
+
+    Parameters
+    ----------
+    repeats : int, optional
+        Number of runs with different random numbers, for each method and each number of iterations.
+    """
+
+    instrument: key_groups.InstrumentKeys
+    repeats: int = 30
+    rng: key_groups.Seed = 0
+    output: ProbabilityOutputKeys
+
+
+@command(CollisionsKeys, f"{OPTIONS} methods{OUTPUT}", app=benchmark, epilog=EXAMPLES)
+def collisions(keys: CollisionsKeys) -> None:
+    """Compare the speed and the errors of the methods of finding collisions."""
+    output = _app.check_chart(keys.output)
+    options = {"methods": keys.methods, "repeats": keys.repeats, "rng": keys.rng, "progress": sys.stderr.isatty()}
+    table = rs.benchmark.benchmark_collisions(_app.model_of(keys.instrument), **options)
+    _print.finish_table(table, rs.plot.plot_speed_accuracy, output)
+
+
+@command(BatchesKeys, OPTIONS, app=benchmark, epilog=EXAMPLES)
+def batches(keys: BatchesKeys) -> None:
+    """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
+    _print.print_table(rs.benchmark.benchmark_batches(_app.model_of(keys.instrument), repeats=keys.repeats))
+
+
+@command(ProbabilityKeys, OPTIONS + OUTPUT, app=benchmark, epilog=EXAMPLES)
+def probability(keys: ProbabilityKeys) -> None:
+    """Compare the time and the error of the methods that estimate collision probabilities.
+
+    The command also prints the collision probability of independent targets for several probability densities of the
+    targets in the patrol area. For each density, it prints the difference from the collision probability of allocated
+    targets.
+    """
+    output = _app.check_chart(keys.output)
+    model, options = _app.model_of(keys.instrument), {"rng": keys.rng}
+    _print.print_table(rs.benchmark.benchmark_densities(model, **options))
+    options |= {"repeats": keys.repeats, "progress": sys.stderr.isatty()}
+    table = rs.benchmark.benchmark_probability(model, **options)
+    _print.finish_table(table, rs.plot.plot_probability_accuracy, output)

@@ -10,13 +10,16 @@ import numpy as np
 from astropy.table import vstack
 
 import rfpsurvey as rs
-from rfpsurvey import inputs
-from rfpsurvey._cli import _app, _process, _surveys
-from rfpsurvey._cli._command import command
-from rfpsurvey._cli._print import files, print_text
-from rfpsurvey._readers import parse_number
-from rfpsurvey.design import AXES, LossOptions
-from rfpsurvey.inputs import Located, Part
+from rfpsurvey._cli import command as _app
+from rfpsurvey._cli import process as _process
+from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli.command import command
+from rfpsurvey._cli.printing import files, print_text
+from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._studies.design import LossOptions
+from rfpsurvey._studies.design_rows import AXES
+from rfpsurvey._survey import key_groups
+from rfpsurvey._survey.key_types import Located, Part
 
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
@@ -25,7 +28,7 @@ COLUMNS = (*AXES, "collision_type", "coverage", "loss", "loss_error", "usable", 
 
 
 @dataclass(frozen=True)
-class DesignInstrumentKeys(inputs.StateTimeKeys):
+class DesignInstrumentKeys(key_groups.StateTimeKeys):
     """The instrument around whose design a scan is made.
 
     Parameters
@@ -40,7 +43,7 @@ class DesignInstrumentKeys(inputs.StateTimeKeys):
 
 
 @dataclass(frozen=True)
-class DesignOutputKeys(inputs.OutputKeys):
+class DesignOutputKeys(key_groups.OutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -95,9 +98,9 @@ class DesignKeys:
     clearance: str | None = None
     n_designs: int | None = None
     objectives: dict[str, str] | None = None
-    rng: inputs.Seed = 0
-    workers: inputs.Workers = 1
-    processes: inputs.Processes = False
+    rng: key_groups.Seed = 0
+    workers: key_groups.Workers = 1
+    processes: key_groups.Processes = False
 
 
 @command(

@@ -1,4 +1,4 @@
-"""The command ``rfpsurvey select``."""
+"""The commands ``rfpsurvey select`` and ``potential``."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -8,19 +8,24 @@ from typing import Annotated
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey import inputs
-from rfpsurvey._cli import _app, _print, _process, _surveys
-from rfpsurvey._cli._command import Given, command
+from rfpsurvey._cli import command as _app
+from rfpsurvey._cli import printing as _print
+from rfpsurvey._cli import process as _process
+from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli.command import command
 from rfpsurvey._cli.survey import values_of
-from rfpsurvey._outputs import check_separate
-from rfpsurvey._settings import option
-from rfpsurvey.inputs import Part, build
-from rfpsurvey.selection import selection_facts
-from rfpsurvey.survey import SurveyKeys, allocator_of, read_tiles, state_in, targets_of, tiles_of
+from rfpsurvey._common.outputs import check_output, check_separate
+from rfpsurvey._common.settings import option
+from rfpsurvey._survey import key_groups, key_objects
+from rfpsurvey._survey.key_objects import Given
+from rfpsurvey._survey.key_types import Part, build
+from rfpsurvey._survey.plan_file import SurveyKeys, allocator_of, read_tiles, state_in, targets_of, tiles_of
+from rfpsurvey._survey.selection.probabilities import selection_facts
+from rfpsurvey.errors import number_of
 
 
 @dataclass(frozen=True)
-class SelectOutputKeys(inputs.OutputKeys):
+class SelectOutputKeys(key_groups.OutputKeys):
     """The files that the command writes.
 
     Parameters
@@ -42,7 +47,7 @@ class SelectOutputKeys(inputs.OutputKeys):
 
 
 @dataclass(frozen=True, kw_only=True)
-class SelectKeys(inputs.WorkerKeys):
+class SelectKeys(key_groups.WorkerKeys):
     """The keys of the command.
 
     Parameters
@@ -51,17 +56,17 @@ class SelectKeys(inputs.WorkerKeys):
         Number of realizations. A multiple of 64 is best, since each integer of the output stores 64 realizations.
     """
 
-    catalog: inputs.SurveyCatalogKeys
-    instrument: inputs.InstrumentKeys
-    tiles: inputs.TilesKeys
-    options: inputs.SurveyOptions
+    catalog: key_groups.SurveyCatalogKeys
+    instrument: key_groups.InstrumentKeys
+    tiles: key_groups.TilesKeys
+    options: key_groups.SurveyOptions
     joint: Annotated[dict, Part(rs.JointOptions, omit=("allocator",))]
     output: SelectOutputKeys
     n_realizations: int = option(128, low=1)
-    order: inputs.Order = "color"
-    epoch: inputs.Epoch = None
-    lost_in_collision: inputs.Lost = True
-    rng: inputs.Seed = 0
+    order: key_groups.Order = "color"
+    epoch: key_groups.Epoch = None
+    lost_in_collision: key_groups.Lost = True
+    rng: key_groups.Seed = 0
 
 
 @command(
@@ -100,7 +105,7 @@ def select(keys: SelectKeys, given: Given) -> None:
     check_separate([output, stored], paths)
     _app.check_outputs(keys.output, paths, (".fits",))
     tiling = read_tiles(keys.tiles, tell=_print.print_text)
-    model = _app.model_of(keys.instrument, lambda: inputs.time_of_tiles(tiling, keys.epoch, {}))
+    model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
     targets = targets_of(keys, model, tell=_print.print_text)
     if survey is not None:
         visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}
@@ -109,7 +114,7 @@ def select(keys: SelectKeys, given: Given) -> None:
         targets = _with_visits(targets, keys.catalog.visits)
     options = _surveys.options_of(keys) | {"allocator": allocator_of(keys.options, keys.joint)}
     tiling = tiles_of(tiling, targets if survey is None else targets.first, model)
-    tiling = tiling if survey is None else inputs.tiles_under(tiling, survey.conditions)
+    tiling = tiling if survey is None else key_objects.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")
@@ -143,3 +148,83 @@ def _print_selection(selection: "rs.SelectionProbabilities", allocator: str, sec
     _print.print_facts(selection_facts(selection))
     plans = s["n_tiles"] * s["n_realizations"]
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")
+
+
+@dataclass(frozen=True)
+class PotentialOutputKeys:
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Write all pairs of a positioner and a point in reach, with the tile of each pair (.fits).
+    overwrite : bool, optional
+        Replace existing files.
+    """
+
+    path: Path | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True, kw_only=True)
+class PotentialKeys(key_groups.WorkerKeys):
+    """The keys of the command.
+
+    Parameters
+    ----------
+    survey : Path, optional
+        Folder of a survey that was planned with these tiles. In each tile, positioners whose target is lost to a
+        collision reach no point. Without a table of tiles, the tiles of the survey are used.
+    """
+
+    catalog: key_groups.CatalogKeys
+    instrument: key_groups.InstrumentKeys
+    tiles: key_groups.TilesKeys
+    output: PotentialOutputKeys
+    survey: Path | None = None
+    epoch: key_groups.Epoch = None
+    rng: key_groups.Seed = 0
+
+
+@command(
+    PotentialKeys,
+    "tiles.path instrument.name survey tiles.passes epoch workers rng catalog.columns output.path output.overwrite",
+    argument="catalog.path",
+)
+def potential(keys: PotentialKeys, _: Given) -> None:
+    r"""Find the tiles and positioners that reach each point of a catalog of random points.
+
+    Examples
+    --------
+    rfpsurvey potential random.fits --instrument desi --tiles tiles.ecsv \
+        --output potential.fits
+    rfpsurvey potential random.fits --instrument desi --survey plan \
+        --workers 2 --output potential.fits
+    """
+    output = keys.output.path
+    if output is not None:
+        paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.survey
+        check_separate([output], paths)
+        check_output(output, (".fits",), overwrite=keys.output.overwrite)
+    survey, tiles = None, keys.tiles
+    if keys.survey is not None:
+        survey = rs.Survey.read(keys.survey)
+        tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
+    tiling = read_tiles(tiles, tell=_print.print_text)
+    model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
+    points = targets_of(keys, model, tell=_print.print_text)
+    tiling = tiles_of(tiling, points, model)
+    options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
+    begin = perf_counter()
+    _process.tell_if_interrupted("no results were stored")
+    with _surveys.workers(keys) as executor:
+        potential_pairs = rs.selection.potential_assignments(points, model, tiling, executor=executor, **options)
+        n_tiles = potential_pairs.n_tiles()
+        written = None if output is None else potential_pairs.write(output, overwrite=keys.output.overwrite)
+    print(f"{model.name}, {number_of(len(potential_pairs), 'tile')}, {number_of(len(n_tiles), 'point')}")
+    numbers = enumerate(np.bincount(n_tiles).tolist())
+    _print.print_facts({f"points in reach in {number_of(n, 'tile')}": number for n, number in numbers if number})
+    _print.print_facts({"mean number of tiles per point": n_tiles.mean()})
+    print(f"computing time {perf_counter() - begin:.1f} s")
+    if written is not None:
+        print(f"wrote {output}: {number_of(written, 'pair')} of a positioner and a point")

@@ -1,23 +1,33 @@
-"""The command ``rfpsurvey tile``."""
+"""The commands ``rfpsurvey tile``, ``score`` and ``convert``."""
 
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Annotated
 
 import astropy.units as u
+import typer
+from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey import inputs
-from rfpsurvey._cli import _app, _print
-from rfpsurvey._cli._command import Given, command
-from rfpsurvey._methods import help_of
-from rfpsurvey.region import Region
-from rfpsurvey.survey import read_tiles
-from rfpsurvey.tiling import METHODS
+from rfpsurvey._cli import application as _main
+from rfpsurvey._cli import command as _app
+from rfpsurvey._cli import printing as _print
+from rfpsurvey._cli.command import command
+from rfpsurvey._common.descriptions import help_of
+from rfpsurvey._common.outputs import check_parent, check_separate
+from rfpsurvey._field.plan_files import read_plan, write_plan
+from rfpsurvey._field.recorded import north_of_date
+from rfpsurvey._sky.region import Region
+from rfpsurvey._survey import key_groups, key_objects
+from rfpsurvey._survey.key_objects import Given
+from rfpsurvey._survey.key_types import Located
+from rfpsurvey._survey.plan_file import read_tiles
+from rfpsurvey._survey.tiling.place import METHODS
 
 
 @dataclass(frozen=True)
-class CentersKeys(inputs.TableKeys):
+class CentersKeys(key_groups.TableKeys):
     """The centers of tiles.
 
     Parameters
@@ -58,11 +68,11 @@ class TileKeys:
         target of the tile.
     """
 
-    catalog: inputs.SurveyCatalogKeys
-    instrument: inputs.InstrumentKeys
+    catalog: key_groups.SurveyCatalogKeys
+    instrument: key_groups.InstrumentKeys
     tiles: CentersKeys
-    options: inputs.Options
-    output: inputs.TableOutputKeys
+    options: key_groups.Options
+    output: key_groups.TableOutputKeys
     region: Region | None = None
     exclude: list[Region] | None = None
     method: Annotated[str, f"Method of placing tiles: {help_of(METHODS)}."] = "hexagonal"
@@ -71,8 +81,8 @@ class TileKeys:
     n_tiles: int | None = None
     fibers: int | None = None
     radius: u.Quantity[u.deg] | None = None
-    lost_in_collision: inputs.Lost = True
-    rng: inputs.Seed = 0
+    lost_in_collision: key_groups.Lost = True
+    rng: key_groups.Seed = 0
 
 
 @command(
@@ -104,7 +114,7 @@ def tile(keys: TileKeys, _: Given) -> None:
         field, _ = _app.targets_and_center(keys.catalog, None, model, keys.rng)
         field = field if inside is None else _targets_inside(field, inside)
     else:
-        inputs.warn_without_catalog(keys.catalog)
+        key_objects.warn_without_catalog(keys.catalog)
     by_fibers = keys.fibers or keys.radius is not None
     if keys.instrument.margins and (field is inside or (by_fibers and "allocator" not in keys.options)):
         raise rs.InputError(
@@ -153,3 +163,148 @@ def _options_of(given: dict, *, by_fibers: bool) -> "rs.AllocationOptions | None
             f"{', '.join(asked)}"
         )
     return None if "allocator" not in given and not asked else options
+
+
+@dataclass(frozen=True)
+class AssignmentKeys(key_groups.TableKeys):
+    """The plan that is scored.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Plan of another program, or a table with the positioner (or hole) and position of each target.
+    columns : dict[str, str], optional
+        Names of columns of the table by their roles, such as ra=RA_TARG.
+    units : dict[str, str], optional
+        Units of columns that have no unit, by role, such as ra=deg.
+    hdu : str or int, optional
+        Number or name (EXTNAME) of the table in a FITS file with several tables.
+    """
+
+
+@dataclass(frozen=True)
+class ScoreInstrumentKeys(key_groups.StateKeys):
+    """The instrument of the plan.
+
+    Parameters
+    ----------
+    name : str, optional
+        Instrument: the name of a preset, the path of a TOML file, or the path of the calibration files of a real
+        instrument. By default, the instrument named in the plan or tile is used.
+    """
+
+    name: Annotated[str | None, Located] = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreKeys:
+    """The keys of the command.
+
+    Parameters
+    ----------
+    center : str, optional
+        Field center (ICRS). By default, the values racen and deccen in the columns or the header of the table.
+    position_angle : Quantity, optional
+        Position angle. By default, the value position_angle in the columns or the header of the table.
+    positions : str, optional
+        Target positions to use: focal_plane or sky.
+    missing : str, optional
+        Treatment of assigned rows without a position: refuse, or skip (score the other rows).
+    parked_obstacles : bool, optional
+        Whether parked arms of idle positioners are obstacles, if both arms of a positioner are equally long.
+    """
+
+    catalog: AssignmentKeys
+    instrument: ScoreInstrumentKeys
+    options: key_groups.ConstraintKeys
+    output: key_groups.TableOutputKeys
+    center: str | None = None
+    position_angle: u.Quantity[u.deg] | None = None
+    equinox: key_groups.Equinox = None
+    epoch: key_groups.Epoch = None
+    positions: str | None = None
+    missing: str = "refuse"
+    parked_obstacles: bool = True
+
+
+@command(
+    ScoreKeys,
+    "instrument.name center position_angle epoch positions missing options.constraints options.rules catalog.select "
+    "catalog.columns output.path output.plot output.report output.overwrite",
+    argument="catalog.path",
+)
+def score(keys: ScoreKeys, _: Given) -> None:
+    r"""Find the collisions in an assignment that was made by another program.
+
+    Examples
+    --------
+    rfpsurvey score confSummary-26.par.gz
+    rfpsurvey score confSummary-26.par.gz --instrument sloanFlatCMM
+    rfpsurvey score plan.ecsv --instrument sdss_apo
+    rfpsurvey score designs.ecsv --instrument sdss_lco \
+        --set catalog.select.design_id=503246 --set equinox=J2022.0
+    rfpsurvey score tile.fits --constraint sky=20/spectrograph
+    """
+    path = keys.catalog.path
+    if path is None:
+        raise rs.InputError("catalog.path must be given: the file of the plan to score")
+    _app.check_outputs(keys.output, (path, keys.instrument.name, keys.instrument.broken))
+    table = _app.read_assignment(keys.catalog)
+    options = {name: getattr(keys, name) for name in ("positions", "epoch", "missing", "parked_obstacles")}
+    if keys.center is None:
+        options["equinox"] = keys.equinox
+    else:
+        options["center"] = north_of_date(_app.parse_center(keys.center), keys.equinox)
+    options["position_angle"] = keys.position_angle
+    options |= {"columns": keys.catalog.columns or {}, "units": _app.units_of(path, keys.catalog.units)}
+
+    def read(name: str) -> "rs.Instrument":
+        return _app.model_of(replace(keys.instrument, name=name), lambda: _time_of(table, keys.epoch))
+
+    model = _app.instrument_of(table, keys.instrument.name, read)
+    constraints = keys.options.constraints
+    if keys.options.rules is not None:
+        constraints = [*(constraints or ()), *model.rules(keys.options.rules)]
+    tile = rs.score_tile(table, model, **options, constraints=constraints)
+    _print.finish(tile, keys.output)
+    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+
+
+def _time_of(table, epoch: object) -> Time | None:
+    """Return the time of the observing conditions that a tile records or, without such a time, the epoch."""
+    provenance = table.meta.get("provenance")
+    recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
+    return key_objects.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)
+
+
+@_main.app.command(cls=_main.Command)
+def convert(
+    source: Annotated[
+        Path, typer.Argument(help="File to convert: a plan of another program, or a tile (.fits or .ecsv).")
+    ],
+    target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
+    format: Annotated[  # noqa: A002
+        str | None,
+        typer.Option(
+            help="Format of the new file: confsummary, fiberassign, pfsdesign, table, or a format of an installed "
+            "package. By default, the extension of the file name determines the format."
+        ),
+    ] = None,
+    overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
+) -> None:
+    """Convert a plan to the format of another program.
+
+    Examples
+    --------
+    rfpsurvey convert confSummary-26.par plan.ecsv
+    rfpsurvey convert tile.fits confSummary-26.par.gz
+    rfpsurvey plan targets.fits --instrument fp-metrology.csv --output tile.fits
+    rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign
+    """
+    check_separate([target], [source])
+    check_parent(target)
+    plan = read_plan(source)
+    write_plan(plan, target, format=format, overwrite=overwrite)
+    n_assigned, n = int(plan["assigned"].sum()), len(plan)
+    instrument = f" of {plan.meta['instrument']}" if plan.meta.get("instrument") else ""
+    print(f"{target}: {n_assigned} of {n} fibers{instrument} have a target")

@@ -7,7 +7,7 @@ contains the squared distance of the target from the center of the positioner, f
 
 import numpy as np
 
-from rfpsurvey._jit import inlined_kernel, kernel
+from rfpsurvey._kernels.jit import inlined_kernel, kernel
 
 # A number that is larger than the rank of any priority class.
 MOST = 2**62

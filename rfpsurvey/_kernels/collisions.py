@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import inlined_kernel, kernel
+from rfpsurvey._kernels.jit import inlined_kernel, kernel
 from rfpsurvey._kernels.outlines import (
     NO_OUTLINE,
     NO_POLYGONS,

@@ -7,8 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import inner_kernel, kernel
-from rfpsurvey._kernels.hashing import GOLDEN, mix
+from rfpsurvey._kernels.batch import GOLDEN, mix
+from rfpsurvey._kernels.jit import inner_kernel, kernel
 
 NONE = np.int64(-1)
 # Largest numbers of positioners that lose their candidates at the start of a move, and of steps of a move, and of

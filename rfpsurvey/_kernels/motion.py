@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.collisions import Limits, obstacle_distance, orientation, outlined_squared, pair_squared
+from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.outlines import outlines_squared
 
 # Gaps that exceed the minimum separation by less than this length (mm) count as collisions.

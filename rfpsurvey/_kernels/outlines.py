@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import inlined_kernel, kernel
+from rfpsurvey._kernels.jit import inlined_kernel, kernel
 
 UNIT = 2.0**-53
 # The error of the square root of `outlines_squared` is at most this factor times (S + offset).

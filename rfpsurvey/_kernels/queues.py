@@ -1,15 +1,15 @@
-"""Collision probabilities of positioners that draw their poses from queues.
+"""Collision probabilities of positioners that draw their poses from queues, and areas of patrol annuli.
 
 The poses in a queue are called its entries. One entry of each queue is in use, with a probability proportional to its
 weight, independent of all other queues. For a given entry of a positioner, collisions with different neighbors are
 therefore independent, and the probability of no collision is a product over the neighbors.
 """
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.arms import CAPSULE, FIBER_TIP, capsule_end, elbow
 from rfpsurvey._kernels.collisions import (
     halve,
@@ -20,6 +20,7 @@ from rfpsurvey._kernels.collisions import (
     project,
     squared_limit,
 )
+from rfpsurvey._kernels.jit import kernel
 
 # Number of pairs of entries that are tested together.
 BATCH = 2048
@@ -176,3 +177,67 @@ def expect(pairs, geometry, setup, entries, expected):
         for a in range(entries.start[i], entries.stop[i]):
             without += weight[a] * free[a]
         probability[i] = max(1.0 - without / total[i], 0.0) if total[i] > 0.0 else np.nan
+
+
+@kernel
+def half_angle(r, d, radius):
+    """Return half the central angle of the arc of one circle that lies inside another circle.
+
+    The circle of the arc has the radius ``r``, and the other circle has the radius ``radius``. The distance between
+    their centers is ``d``.
+    """
+    if r + d <= radius:
+        return math.pi
+    if abs(r - d) >= radius:
+        return 0.0
+    return math.acos(min(max((r * r + d * d - radius * radius) / (2.0 * r * d), -1.0), 1.0))
+
+
+@kernel
+def covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end):
+    """Return the fraction of the patrol area of positioner i that the patrol area of at least one neighbor covers.
+
+    The patrol area is divided into rings of equal area. One circle in each ring represents the ring. The arcs of the
+    circle that lie in the patrol areas of neighbors are computed exactly.
+    """
+    total = 0.0
+    low2, high2 = inner[i] ** 2, outer[i] ** 2
+    for step in range(n_steps):
+        r = math.sqrt(low2 + (high2 - low2) * (step + 0.5) / n_steps)
+        n = 0
+        for k in range(indptr[i], indptr[i + 1]):
+            j = neighbor[k]
+            dx, dy = cx[j] - cx[i], cy[j] - cy[i]
+            d = math.sqrt(dx * dx + dy * dy)
+            wide, narrow = half_angle(r, d, outer[j]), half_angle(r, d, inner[j])
+            if wide <= narrow:
+                continue
+            direction = math.atan2(dy, dx)
+            for sign in (-1.0, 1.0):  # the two arcs are symmetric about the direction of the neighbor
+                a = direction + sign * (wide if sign < 0.0 else narrow)
+                a -= 2.0 * math.pi * math.floor(a / (2.0 * math.pi))
+                b = a + wide - narrow
+                begin[n], end[n] = a, min(b, 2.0 * math.pi)
+                n += 1
+                if b > 2.0 * math.pi:
+                    begin[n], end[n] = 0.0, b - 2.0 * math.pi
+                    n += 1
+        order = np.argsort(begin[:n])
+        reached = 0.0
+        for k in range(n):
+            a, b = begin[order[k]], end[order[k]]
+            if b > reached:
+                total += b - max(a, reached)
+                reached = b
+    return total / (2.0 * math.pi * n_steps)
+
+
+@kernel
+def covered_parts(indptr, neighbor, cx, cy, inner, outer, n_steps, out):
+    """Compute the fraction of the patrol area of each positioner that its neighbors cover, with `covered`."""
+    size = 1
+    for i in range(out.size):
+        size = max(size, 4 * (indptr[i + 1] - indptr[i]))
+    begin, end = np.empty(size), np.empty(size)
+    for i in range(out.size):
+        out[i] = covered(i, indptr, neighbor, cx, cy, inner, outer, n_steps, begin, end)

@@ -5,7 +5,7 @@ A candidate is an assignment that a plan may use: a positioner with a target and
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
+from rfpsurvey._kernels.jit import kernel
 
 # If arguments were literal integers, numba would compile `put` and `displace` a second time.
 NONE, NO, YES = np.int64(-1), np.int64(0), np.int64(1)

@@ -5,11 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
 from rfpsurvey._kernels.allocation import balanced, draw_places, fill_queues
-from rfpsurvey._kernels.arms import Geometry
+from rfpsurvey._kernels.arms import Geometry, cell_of, reachable_pairs
+from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.queues import expect, place_queues, prepare_entries
-from rfpsurvey._kernels.reach import cell_of, reachable_pairs
 
 
 class TargetCircle(NamedTuple):

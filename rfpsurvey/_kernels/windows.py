@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from rfpsurvey._jit import kernel
-from rfpsurvey._kernels.hashing import mix
+from rfpsurvey._kernels.batch import mix
+from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.paths import TOLERANCE, is_free, swap
 
 # Factor of the random costs of places, which are smaller than 2^16; the costs of all visits sum to less than 1e-3.

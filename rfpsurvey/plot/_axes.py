@@ -1,22 +1,68 @@
-"""Functions that plots share: new axes, axes of focal planes in mm, legends below the axes, collections of circles."""
+"""Functions that plots share: new axes, axes of focal planes in mm, legends below the axes, colors and markers.
+
+Important differences are shown by color and by a marker, a hatch or a line style.
+"""
 
 import astropy.units as u
 import numpy as np
 from astropy.table import QTable
-from matplotlib import rcParams
+from matplotlib import colormaps, rcParams
 from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection
+from matplotlib.colors import ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, FancyArrowPatch
 from matplotlib.transforms import Affine2D, ScaledTranslation
 
-from rfpsurvey._units import to_mm, to_plain
+from rfpsurvey._common.units import to_mm, to_plain
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.instrument import Instrument, as_focal_plane, as_instrument
 from rfpsurvey.errors import InputError, InputTypeError, listed
-from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, as_focal_plane, as_instrument
-from rfpsurvey.plot._style import OUTLINE
-from rfpsurvey.tile import Tile
+
+# the palette of Okabe and Ito, whose colors color-blind people can distinguish
+PATROL, ARM, IDLE, COLLISION, OBSTACLE = "#56B4E9", "#0072B2", "#8A8A8A", "#D55E00", "#444444"
+SERIES = ("#D55E00", "#0072B2", "#E69F00", "#009E73", "#CC79A7", "#56B4E9", "#000000", "#F0E442")
+GROUP_COLORS = (
+    *SERIES[:6],
+    "#555555",
+    "#F0E442",
+    "#F2B58A",
+    "#5E3C99",
+    "#8C5A00",
+    "#8FD9C0",
+    "#8E3B6B",
+    "#B9E1F7",
+    "#C4C4C4",
+    "#8A8300",
+    "#8B1A1A",
+    "#9DB7E8",
+    "#FFD9A0",
+    "#004D38",
+    "#F3D0E4",
+    "#1D3F6E",
+    "#000000",
+    "#C8D96F",
+)
+"""Fill colors of groups: the palette, then lighter or darker versions of its colors."""
+FADED, FAINT = "#A8A8A8", "#8A8A8A26"
+"""Color of positioners without a target, and color of the disks behind dots: a translucent gray, faint on any page."""
+OUTLINE = "#222222"
+MARKERS = "osD^vP*X"
+OPEN_CIRCLE = {"marker": "o", "markerfacecolor": "none", "linestyle": "none"}
+"""Style of legend entries that show a circle without a fill."""
+HATCH = "//////"
+"""Hatch of arms, disks and bars that show collisions or fibers lost to collisions."""
+LEVELS = ("#FFFFFF", "#C9DFF0", "#93C0E0", "#5A9DCC", "#2474B6", "#0C4A8C", "#06234F")
+"""Colors for points that 0, 1, 2, ... positioners reach. The lightness differs, so that prints in gray are legible."""
+SEQUENTIAL, DIVERGING, PROBABILITY_COLORS = "viridis", "RdBu_r", "YlOrBr"
+
+
+def light_scale():
+    """Return the sequential color map without its darkest third, in which dark edges would not be visible."""
+    return ListedColormap(colormaps[SEQUENTIAL](np.linspace(0.35, 1, 256)))
+
 
 ORIENTATIONS = ("sky", "focal plane")
 """Orientations: east to the left as on the sky (x increases to the left), or x increasing to the right."""

@@ -6,11 +6,25 @@ from dataclasses import dataclass
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._roles import JOINED
+from rfpsurvey._field.verdicts import OUTCOMES, Outcome, category_classes, priority_classes
+from rfpsurvey._sky.arrays import JOINED
 from rfpsurvey.errors import InputError, number_of
-from rfpsurvey.pipeline import OUTCOMES, Outcome, category_classes, priority_classes
-from rfpsurvey.plot._axes import diamond_size, legend_below, legend_line, limits_of, points_per_unit
-from rfpsurvey.plot._style import ARM, COLLISION, FADED, GROUP_COLORS, MARKERS, OUTLINE, PATROL, SERIES, light_scale
+from rfpsurvey.plot._axes import (
+    ARM,
+    COLLISION,
+    FADED,
+    GROUP_COLORS,
+    MARKERS,
+    OUTLINE,
+    PATROL,
+    SERIES,
+    diamond_size,
+    legend_below,
+    legend_line,
+    light_scale,
+    limits_of,
+    points_per_unit,
+)
 
 FEWEST = 4
 HEADING = 0.9  # position of the word "observed" above the first bar

@@ -6,9 +6,20 @@ from astropy.table import QTable
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from rfpsurvey.plot._axes import check_columns, legend_below, legend_line, new_axes, new_figure
+from rfpsurvey.plot._axes import (
+    ARM,
+    COLLISION,
+    HATCH,
+    IDLE,
+    LEVELS,
+    OUTLINE,
+    check_columns,
+    legend_below,
+    legend_line,
+    new_axes,
+    new_figure,
+)
 from rfpsurvey.plot._classes import draw_parts
-from rfpsurvey.plot._style import ARM, COLLISION, HATCH, IDLE, LEVELS, OUTLINE
 
 
 def plot_allocators(table: QTable, *, ax: Axes | None = None, **kwargs: object) -> Axes:

@@ -8,10 +8,21 @@ from matplotlib.axes import Axes
 from matplotlib.cm import ScalarMappable
 from matplotlib.patches import Patch
 
-from rfpsurvey._units import to_plain
+from rfpsurvey._common.units import to_plain
 from rfpsurvey.errors import InputError, check_choice
-from rfpsurvey.plot._axes import check_columns, labeled, legend_below, legend_line, new_axes, values_of
-from rfpsurvey.plot._style import COLLISION, DIVERGING, MARKERS, SERIES, light_scale
+from rfpsurvey.plot._axes import (
+    COLLISION,
+    DIVERGING,
+    MARKERS,
+    SERIES,
+    check_columns,
+    labeled,
+    legend_below,
+    legend_line,
+    light_scale,
+    new_axes,
+    values_of,
+)
 
 LABELS = {
     "ratio": "ratio of the arms (eccentric over central)",

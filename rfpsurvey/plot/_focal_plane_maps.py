@@ -7,12 +7,22 @@ from matplotlib.collections import LineCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.patches import Patch
 
-from rfpsurvey._units import to_plain
-from rfpsurvey.collision import CollisionCounts, CollisionReport
+from rfpsurvey._common.units import to_plain
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._instruments.count_collisions import CollisionCounts
+from rfpsurvey._instruments.find_collisions import CollisionReport
+from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.instrument import Instrument, as_focal_plane
+from rfpsurvey._studies.question import Estimate
 from rfpsurvey.errors import InputError, check_whole, number_of
-from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument, as_focal_plane
 from rfpsurvey.plot._axes import (
+    COLLISION,
+    HATCH,
+    IDLE,
+    LEVELS,
+    OPEN_CIRCLE,
+    OUTLINE,
+    PROBABILITY_COLORS,
     add_circles,
     add_compass,
     focal_plane_axes,
@@ -24,9 +34,6 @@ from rfpsurvey.plot._axes import (
     position_angle_of,
     spacing_of,
 )
-from rfpsurvey.plot._style import COLLISION, HATCH, IDLE, LEVELS, OPEN_CIRCLE, OUTLINE, PROBABILITY_COLORS
-from rfpsurvey.probability import Estimate
-from rfpsurvey.tile import Tile
 
 N_POINTS = 2**18
 """Number of random points from which the fractions in the legend are computed, with standard errors below 0.001."""

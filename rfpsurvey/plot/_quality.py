@@ -9,18 +9,31 @@ from matplotlib.colors import to_rgba
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
-from rfpsurvey._descriptions import OUTCOMES_COLUMNS
-from rfpsurvey._roles import has_role
-from rfpsurvey.allocation import Requirement
+from rfpsurvey._assignment.constraints.requirement import Requirement
+from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._field.verdicts import Outcome
+from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._survey.survey import Survey
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
-from rfpsurvey.pipeline import Outcome
-from rfpsurvey.plot._axes import labeled, legend_below, legend_line, new_figure, values_of
+from rfpsurvey.plot._axes import (
+    ARM,
+    COLLISION,
+    FADED,
+    HATCH,
+    MARKERS,
+    OUTLINE,
+    PATROL,
+    SERIES,
+    labeled,
+    legend_below,
+    legend_line,
+    new_figure,
+    values_of,
+)
 from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS, by_name, short_names, stacked_bars
-from rfpsurvey.plot._style import ARM, COLLISION, FADED, HATCH, MARKERS, OUTLINE, PATROL, SERIES
-from rfpsurvey.plot._survey_quality import class_rows, draw_survey_quality
-from rfpsurvey.plot._targets import codes_of, outcomes_of
-from rfpsurvey.survey import Survey
-from rfpsurvey.tile import Tile
+from rfpsurvey.plot._focal_plane import codes_of, outcomes_of
+from rfpsurvey.plot._survey import class_rows, draw_survey_quality
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6

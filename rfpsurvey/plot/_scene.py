@@ -11,20 +11,12 @@ from matplotlib.patches import Patch
 from matplotlib.path import Path
 from scipy.spatial import ConvexHull
 
-from rfpsurvey.collision import place_arms
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._instruments.arms import place_arms
+from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey.errors import InputError, InputTypeError, number_of
-from rfpsurvey.focal_plane import FocalPlane
-from rfpsurvey.instrument import Instrument
 from rfpsurvey.plot._axes import (
-    add_circles,
-    diamond_size,
-    legend_line,
-    limits_of,
-    named_plane,
-    points_per_unit,
-    spacing_of,
-)
-from rfpsurvey.plot._style import (
     ARM,
     COLLISION,
     FADED,
@@ -36,8 +28,14 @@ from rfpsurvey.plot._style import (
     OPEN_CIRCLE,
     OUTLINE,
     PATROL,
+    add_circles,
+    diamond_size,
+    legend_line,
+    limits_of,
+    named_plane,
+    points_per_unit,
+    spacing_of,
 )
-from rfpsurvey.tile import Tile
 
 GROUPS = ("spectrograph", "fiber_type")
 

@@ -9,15 +9,23 @@ from matplotlib.collections import LineCollection, PolyCollection
 from matplotlib.colors import BoundaryNorm
 from matplotlib.figure import Figure
 
-from rfpsurvey._units import to_direction, to_scalar
-from rfpsurvey.catalog import Catalog
+from rfpsurvey._common.units import to_direction, to_scalar
+from rfpsurvey._sky.catalog import Catalog
+from rfpsurvey._sky.region import Region
+from rfpsurvey._survey.survey import Survey
+from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
-from rfpsurvey.plot._axes import WIDTH, legend_below, legend_line, new_axes, new_figure
+from rfpsurvey.plot._axes import (
+    COLLISION,
+    OPEN_CIRCLE,
+    WIDTH,
+    legend_below,
+    legend_line,
+    light_scale,
+    new_axes,
+    new_figure,
+)
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
-from rfpsurvey.plot._style import COLLISION, OPEN_CIRCLE, light_scale
-from rfpsurvey.region import Region
-from rfpsurvey.survey import Survey
-from rfpsurvey.tiling import Tiling
 
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes

@@ -8,7 +8,8 @@ from astropy.coordinates import SkyCoord
 from matplotlib.figure import Figure
 from matplotlib.patheffects import Normal, Stroke
 
-from rfpsurvey.region import Region, border_of, circle_around
+from rfpsurvey._sky.region import Region
+from rfpsurvey._sky.shapes import border_of, circle_around
 
 CORNERS, MOST_CORNERS = 36, 7200
 """Smallest number of points on the edge of a field, and intended total number of points on the edges of all fields. If

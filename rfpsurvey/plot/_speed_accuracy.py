@@ -7,8 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
 from rfpsurvey.errors import InputError
-from rfpsurvey.plot._axes import check_columns, new_grid
-from rfpsurvey.plot._style import MARKERS, SERIES
+from rfpsurvey.plot._axes import MARKERS, SERIES, check_columns, new_grid
 
 SHORT_AXIS = 100.0
 """If the upper limit of an axis is at least this number times the lower limit, only powers of ten are labeled."""

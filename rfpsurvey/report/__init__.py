@@ -2,8 +2,8 @@
 
 from typing import TYPE_CHECKING
 
-from rfpsurvey._lazy import importer
-from rfpsurvey.report._facts import estimate_facts, model_facts, tiling_facts
+from rfpsurvey._common.lazy import importer
+from rfpsurvey.report._blocks import estimate_facts, model_facts, tiling_facts
 
 if TYPE_CHECKING:
     from rfpsurvey.report._views import NotebookView, notebook_view

@@ -6,17 +6,30 @@ import astropy.units as u
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey.compare import parts_of
-from rfpsurvey.design import SURROGATE_ERROR
+from rfpsurvey._field.facts import versions
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._studies.compare_instruments import parts_of
+from rfpsurvey._studies.losses import SURROGATE_ERROR
+from rfpsurvey._studies.question import Estimate
+from rfpsurvey._studies.surrogate import AXES, surrogate_spline
 from rfpsurvey.errors import number_of
-from rfpsurvey.plot import draw_instruments, plot_allocators, plot_designs
-from rfpsurvey.probability import AXES, Estimate, surrogate_spline
-from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
-from rfpsurvey.report._facts import estimate_facts
-from rfpsurvey.report._text import pack, pack_texts, text_of
+from rfpsurvey.plot._comparisons import draw_instruments, plot_allocators
+from rfpsurvey.plot._designs import plot_designs
+from rfpsurvey.report._blocks import (
+    Facts,
+    Page,
+    Picture,
+    Rows,
+    Section,
+    Text,
+    View,
+    estimate_facts,
+    pack,
+    pack_texts,
+    text_of,
+)
 from rfpsurvey.report._tile import draw_plane
 from rfpsurvey.report._views import blocks_of_plans, focal_plane_view
-from rfpsurvey.tile import Tile, versions
 
 
 def page_of_estimate(estimate: Estimate, where: str) -> Page:

@@ -8,14 +8,16 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from matplotlib.axes import Axes
 
-from rfpsurvey.allocation import METHODS, recorded_constraints
-from rfpsurvey.constraints import FAIL, NOT_CHECKABLE, PASS
+from rfpsurvey._assignment.constraints.field import FAIL, NOT_CHECKABLE, PASS
+from rfpsurvey._assignment.constraints.text import recorded_constraints
+from rfpsurvey._assignment.methods import METHODS
+from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
+from rfpsurvey._field.tile import Tile, collision_shape
 from rfpsurvey.errors import number_of
-from rfpsurvey.plot import plot_focal_plane, plot_quality
-from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View
-from rfpsurvey.report._facts import model_facts
+from rfpsurvey.plot._focal_plane import plot_focal_plane
+from rfpsurvey.plot._quality import plot_quality
+from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, model_facts
 from rfpsurvey.report._views import blocks_of_plans, focal_plane_view
-from rfpsurvey.tile import Tile, collision_shape, rules_of_tile, tile_facts, tile_objectives, tile_problems
 
 COLUMNS = (
     "id",

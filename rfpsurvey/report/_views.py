@@ -9,14 +9,13 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
-from rfpsurvey.allocation import IDLE_REASONS
+from rfpsurvey._assignment.allocation import IDLE_REASONS
+from rfpsurvey._field.tile import Tile
+from rfpsurvey._survey.survey import Survey
+from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, check_whole, listed
-from rfpsurvey.report._blocks import Page, Picture, Rows, Section, Text, View
+from rfpsurvey.report._blocks import SKY, Page, Picture, Rows, Section, Text, View, pack, pack_texts, text_of
 from rfpsurvey.report._html import html_of
-from rfpsurvey.report._text import SKY, pack, pack_texts, text_of
-from rfpsurvey.survey import Survey
-from rfpsurvey.tile import Tile
-from rfpsurvey.tiling import Tiling
 
 MM = 3
 """Number of decimals of lengths in mm, and of angles of arms in degrees."""

@@ -8,8 +8,8 @@ import pytest
 
 import rfpsurvey as rs
 from brute import best_plan, bodies_of, conflicts_of, options_of
+from rfpsurvey._assignment import candidates as _candidates
 from rfpsurvey._kernels.conflicts import Options
-from rfpsurvey.allocation import _candidates
 
 MM = u.mm
 

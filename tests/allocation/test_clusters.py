@@ -33,9 +33,9 @@ def allocate(plane, xy, priority, **options):
 @pytest.fixture
 def clusters(monkeypatch):
     """Divide all problems into clusters of a few positioners, and return a function that sets further constants."""
-    monkeypatch.setattr("rfpsurvey.allocation._search.LARGEST", 0)
-    monkeypatch.setattr("rfpsurvey.allocation._clusters.LARGEST", 40)
-    monkeypatch.setattr("rfpsurvey.allocation._clusters.SIZE", 40)
+    monkeypatch.setattr("rfpsurvey._assignment.search.LARGEST", 0)
+    monkeypatch.setattr("rfpsurvey._assignment.clusters.LARGEST", 40)
+    monkeypatch.setattr("rfpsurvey._assignment.clusters.SIZE", 40)
     return monkeypatch.setattr
 
 
@@ -45,7 +45,7 @@ def test_bounds_of_clusters_are_never_below_the_optimum(clusters, monkeypatch, s
     for seed in seeds:
         found = allocate(*scene(seed), objective="count" if seed % 4 == 0 else "priority")
         with monkeypatch.context() as usual:
-            usual.setattr("rfpsurvey.allocation._search.LARGEST", 10**9)
+            usual.setattr("rfpsurvey._assignment.search.LARGEST", 10**9)
             best = allocate(*scene(seed), objective="count" if seed % 4 == 0 else "priority")
         assert best.gap == 0
         assert len(rs.find_collisions(scene(seed)[0], found).pairs) <= len(
@@ -64,8 +64,8 @@ def test_bounds_from_prices_alone_are_valid(clusters, monkeypatch):
     for seed in range(12):
         best = allocate(*scene(seed))
         with monkeypatch.context() as late:
-            for module in ("_milp", "_solver"):
-                late.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
+            for module in ("milp", "solver"):
+                late.setattr(f"rfpsurvey._assignment.{module}.maximize", lambda *_, **__: (None, np.inf))
             found = allocate(*scene(seed))
         assert found.levels[0].value <= best.levels[0].bound
         assert found.levels[0].bound >= best.levels[0].value

@@ -10,7 +10,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import _local_search
+from rfpsurvey._assignment import local_search as _local_search
 from scenes import SCENES, lamost_like, sdss_like
 
 MM = u.mm

@@ -74,7 +74,7 @@ def test_limits_on_programs_do_not_depend_on_the_speed_of_the_computer(monkeypat
     xy, priority = rng.uniform(-16, 120, (200, 2)) * MM, rng.integers(1, 4, 200)
     plans = []
     for seconds in (0.1, 1e-9):
-        monkeypatch.setattr("rfpsurvey.allocation._search.AT_LEAST", seconds)
+        monkeypatch.setattr("rfpsurvey._assignment.search.AT_LEAST", seconds)
         options = rs.AllocationOptions("optimal", programs=0)
         plans.append(rs.allocate(plane, xy, allocator=options, priority=priority).target_of_positioner)
     assert (plans[0] == plans[1]).all()

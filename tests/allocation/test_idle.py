@@ -45,7 +45,7 @@ def enumerate_plans(plane, xy):
 @pytest.mark.parametrize("size", [2000, 6])
 def test_as_few_idle_arms_as_possible_collide(monkeypatch, size):
     """With a small size, only positioners around each collision are changed; the plan is then not always the best."""
-    monkeypatch.setattr("rfpsurvey.allocation._idle.SIZE", size)
+    monkeypatch.setattr("rfpsurvey._assignment.local_plans.SIZE", size)
     n_better = 0
     for seed in range(30):
         rng, unit = np.random.default_rng(seed), rs.Positioner(8 * MM, 8 * MM, 2.25 * MM)

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
+from rfpsurvey._assignment.candidates import _distinct
 from rfpsurvey._kernels import conflicts, repair
-from rfpsurvey.allocation._candidates import _distinct
 
 
 def random_candidates(rng):

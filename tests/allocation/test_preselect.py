@@ -7,7 +7,7 @@ import pytest
 import flat
 import rfpsurvey as rs
 from oracles import closest_pairs_first, lamost_target
-from rfpsurvey.allocation import _preselect
+from rfpsurvey._assignment import before_and_after as _preselect
 from scenes import random_plane
 
 MM = u.mm

@@ -7,8 +7,8 @@ from raising import refused
 
 import flat
 import rfpsurvey as rs
+from rfpsurvey._assignment.constraints.counts import sentences
 from rfpsurvey.allocation import METHODS
-from rfpsurvey.constraints import sentences
 from scenes import two_fibers
 
 MM = u.mm

@@ -8,7 +8,8 @@ import pytest
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import IDLE_REASONS, IdleReason, find_idle_reasons
+from rfpsurvey._assignment.allocation import IdleReason
+from rfpsurvey.allocation import IDLE_REASONS, find_idle_reasons
 
 EQUAL = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
 BOTH = replace(EQUAL, handedness="both")

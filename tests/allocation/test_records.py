@@ -11,8 +11,9 @@ from astropy.coordinates import SkyCoord
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey._methods import describe_methods, help_of
-from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS, Allocator
+from rfpsurvey._assignment.methods import DEFAULT_ALLOCATOR, Allocator
+from rfpsurvey._common.descriptions import describe_methods, help_of
+from rfpsurvey.allocation import METHODS
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)
@@ -75,7 +76,7 @@ def test_comparisons_reports_and_descriptions_contain_a_new_allocator(new, sky, 
 
 def test_the_help_of_a_command_contains_every_allocator():
     lines = [
-        "from rfpsurvey.allocation import DEFAULT_ALLOCATOR, METHODS, Allocator",
+        "from rfpsurvey._assignment.methods import METHODS, Allocator",
         "METHODS['lazy'] = Allocator('lazy', len, summary='for tests')",
         "from rfpsurvey._cli import main",
         "main()",

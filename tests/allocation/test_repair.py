@@ -10,7 +10,9 @@ from raising import refused
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS, _local_search, _methods
+from rfpsurvey._assignment import local_search as _local_search
+from rfpsurvey._assignment import methods as _methods
+from rfpsurvey.allocation import METHODS
 from scenes import SCENES, lamost_like, sdss_like
 
 MM = u.mm

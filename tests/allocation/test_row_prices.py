@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from rfpsurvey.allocation import RowPrices
+from rfpsurvey._assignment.weighted import RowPrices
 
 SWEEPS = ((0.2, 20), (0.05, 30), (0.01, 30))
 

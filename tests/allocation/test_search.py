@@ -10,8 +10,8 @@ import pytest
 import flat
 import rfpsurvey as rs
 from brute import edges_alone
+from rfpsurvey._assignment.candidates import reduced
 from rfpsurvey._kernels import conflicts
-from rfpsurvey.allocation._candidates import reduced
 
 MM = u.mm
 EXHAUSTIVE = pytest.mark.exhaustive
@@ -146,7 +146,7 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
     }
     usual = flat.allocate(plane, xy, **options)
     for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
-        monkeypatch.setattr(f"rfpsurvey.allocation._lexicographic.{name}", value)
+        monkeypatch.setattr(f"rfpsurvey._assignment.lexicographic.{name}", value)
     found = flat.allocate(plane, xy, **options)
     assert (found.levels, found.gap) == (usual.levels, 0)
 
@@ -273,10 +273,10 @@ def test_programs_that_run_out_of_time_prove_nothing(monkeypatch, method, n_requ
     if n_required:
         options["required"] = np.flatnonzero(rng.permutation(n) < n_required)
     best = flat.allocate(plane, xy, **options)
-    for module in ("_milp", "_solver"):
-        monkeypatch.setattr(f"rfpsurvey.allocation.{module}.maximize", lambda *_, **__: (None, np.inf))
+    for module in ("milp", "solver"):
+        monkeypatch.setattr(f"rfpsurvey._assignment.{module}.maximize", lambda *_, **__: (None, np.inf))
     # without prices of cliques, all bounds follow from a matching
-    monkeypatch.setattr("rfpsurvey.allocation._search.MOST_BOUNDS", 0)
+    monkeypatch.setattr("rfpsurvey._assignment.search.MOST_BOUNDS", 0)
     found = flat.allocate(plane, xy, **options)
     assert best.gap == 0 < found.gap
     assert any(level.value < level.bound for level in found.levels)
@@ -299,8 +299,8 @@ def test_presolve_which_looks_at_no_clock_is_left_out_of_dense_programs(monkeypa
         said.append(presolve)
         return None, np.inf
 
-    monkeypatch.setattr("rfpsurvey.allocation._milp.maximize", answer)
-    monkeypatch.setattr("rfpsurvey.allocation._search.improve_by_clusters", lambda _, chosen, *__: chosen)
+    monkeypatch.setattr("rfpsurvey._assignment.milp.maximize", answer)
+    monkeypatch.setattr("rfpsurvey._assignment.search.improve_by_clusters", lambda _, chosen, *__: chosen)
     # the scene is dense enough to leave work to the solver
     plane = rs.FocalPlane(plane.xy, rs.Positioner(8.25 * MM, 8.25 * MM, 6 * MM)) if expected else plane
     xy = np.column_stack([r * np.cos(angle), r * np.sin(angle)]) * MM

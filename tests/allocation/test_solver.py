@@ -11,7 +11,9 @@ import pytest
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import _idle, _milp, _solver
+from rfpsurvey._assignment import local_plans as _idle
+from rfpsurvey._assignment import milp as _milp
+from rfpsurvey._assignment import solver as _solver
 from scenes import random_scene
 
 # The program is dense, so that its presolve takes longer than the time limit. A thread that is cancelled before the
@@ -21,7 +23,7 @@ SCRIPT = """
 import atexit, time
 import numpy as np
 from scipy.sparse import csr_array
-from rfpsurvey.allocation import _solver
+from rfpsurvey._assignment import solver as _solver
 
 n, rows = 1500, 12000
 column = np.random.default_rng(0).integers(0, n, 6 * rows)

@@ -12,7 +12,8 @@ from scipy.stats import kstest
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
 from oracles import balanced_owner, lamost_target, targets_in_order
-from rfpsurvey.allocation import METHODS, id_numbers, service_order, subpriorities
+from rfpsurvey._assignment.rules import id_numbers, service_order
+from rfpsurvey.allocation import METHODS, subpriorities
 
 MM = u.mm
 PLANES = {

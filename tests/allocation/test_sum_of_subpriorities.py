@@ -9,8 +9,8 @@ from astropy.table import QTable
 import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
-from rfpsurvey.allocation._lexicographic import _Pursuit
-from rfpsurvey.tile import tile_objectives
+from rfpsurvey._assignment.lexicographic import _Pursuit
+from rfpsurvey._field.facts import tile_objectives
 from rule_scenes import CENTER, Scene
 from scenes import random_scene
 
@@ -118,7 +118,7 @@ def test_the_sum_of_an_unfinished_search_is_not_reported_as_proven(scene):
 
 def test_the_bound_of_the_solver_is_used_if_it_ends_before_the_best_plan(monkeypatch, rng):
     """The search is divided into independent parts; the last plan of the solver can be worse than the first one."""
-    monkeypatch.setattr("rfpsurvey.allocation._search.SMALLEST", 1)
+    monkeypatch.setattr("rfpsurvey._assignment.search.SMALLEST", 1)
     unit, maximize = rs.Positioner(6 * MM, 6 * MM, 1.8 * MM), _Pursuit.maximize
     one = rs.FocalPlane.hexagonal(unit, rings=3, pitch=10 * MM).xy.to_value(MM)
     plane = rs.FocalPlane(np.concatenate([one, one + [200, 0]]) * MM, unit)

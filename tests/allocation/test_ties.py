@@ -6,7 +6,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import tie_order
+from rfpsurvey._assignment.rules import tie_order
 
 MM = u.mm
 PLANE = rs.FocalPlane.hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.5 * MM), rings=4, pitch=22.4 * MM)

@@ -8,7 +8,8 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import METHODS, OPTIONS
+from rfpsurvey._assignment.methods import OPTIONS
+from rfpsurvey.allocation import METHODS
 
 CENTER = SkyCoord("6h20m +23d")
 TILES = SkyCoord([95.0] * u.deg, [23.0] * u.deg)

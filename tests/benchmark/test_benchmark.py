@@ -6,7 +6,7 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.benchmark import _collisions as benchmark
+from rfpsurvey._studies import benchmark_collisions as benchmark
 from rfpsurvey.benchmark import random_tips
 from scenes import sdss_like
 

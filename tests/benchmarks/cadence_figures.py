@@ -18,8 +18,8 @@ from astropy.table import QTable, Table
 from measure import arguments
 
 import rfpsurvey as rs
+from rfpsurvey._survey.cadences import Windows
 from rfpsurvey.survey import Cadences
-from rfpsurvey.survey._cadences import Windows
 
 CENTER = SkyCoord("6h20m +23d")
 ALLOCATORS = ("nearest", "lamost_rule", "repair", "optimal")

@@ -12,8 +12,8 @@ from time import process_time
 import numpy as np
 
 import rfpsurvey as rs
+from rfpsurvey._studies.benchmark_collisions import COMPARED, _case
 from rfpsurvey.benchmark import random_tips
-from rfpsurvey.benchmark._collisions import COMPARED, _case
 
 RUNS = [("exact", 2), ("endpoints", 2), *(("sampled", n) for n in (3, 5, 9, 65)), ("every_pair", 2)]
 RUNS += [("shapely", 2), ("scipy", 2), ("sweep", 65)]

@@ -16,7 +16,7 @@ from astropy.coordinates import SkyCoord
 from measure import arguments, in_circle, peak_gb, timed
 
 import rfpsurvey as rs
-from rfpsurvey.survey._order import make_rounds
+from rfpsurvey._survey.request import make_rounds
 
 CENTER = SkyCoord("06h20m00s +23d00m00s")
 FIELDS = [

@@ -17,9 +17,9 @@ import numpy as np
 from measure import arguments
 
 import rfpsurvey as rs
-from rfpsurvey.design import _losses
-from rfpsurvey.design._lattice import make_lattice
-from rfpsurvey.probability._surrogate import AXES, interior_probability
+from rfpsurvey._studies import losses as _losses
+from rfpsurvey._studies.losses import make_lattice
+from rfpsurvey._studies.surrogate import AXES, interior_probability
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 import flat

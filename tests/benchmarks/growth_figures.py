@@ -19,7 +19,7 @@ from astropy.coordinates import SkyCoord
 from measure import arguments, machine
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import SkyIndex
+from rfpsurvey._sky.arrays import SkyIndex
 
 CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
 POSITIONER = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)

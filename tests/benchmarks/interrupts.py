@@ -31,7 +31,7 @@ from measure import arguments
 from PIL import Image
 
 import rfpsurvey as rs
-from rfpsurvey._io import read_table
+from rfpsurvey._common.read_tables import read_table
 
 MOST_SECONDS = 12.0
 # Time in seconds within which the interpreter starts; it reports an earlier interrupt with a traceback.

@@ -14,9 +14,10 @@ from measure import timed
 from tie_figures import scene
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.moves import solve_moves
 from rfpsurvey._kernels import conflicts, motion
 from rfpsurvey._kernels.collisions import halve
-from rfpsurvey.collision import find_motion, solve_moves
+from rfpsurvey.collision import find_motion
 
 PRESETS = ("lamost", "desi", "pfs", "sdss_apo", "moons")
 DENSITIES = (1, 2, 5)

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from measure import smallest
 
 import rfpsurvey as rs
-from rfpsurvey.observing import MODELS, field_of_model
+from rfpsurvey._sky.observed_field import MODELS, field_of_model
 
 BOTH = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
 # Site, and wavelength of the fibers; compensators of MOONS, DESI and PFS remove the dispersion.

@@ -16,7 +16,7 @@ import numpy as np
 from measure import arguments, in_circle, peak_gb
 
 import rfpsurvey as rs
-from rfpsurvey.allocation import _search
+from rfpsurvey._assignment import search as _search
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "helpers"))
 from brute import edges_alone

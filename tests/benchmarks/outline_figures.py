@@ -23,9 +23,9 @@ from measure import alternated
 from outline_pairs import PLACES, SHAPES, count, make_pairs
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.outline import make_outline
 from rfpsurvey._kernels import collisions
 from rfpsurvey._kernels.outlines import outlines_squared
-from rfpsurvey.positioner import make_outline
 
 DRAW = 1000
 REPEATS = 300

@@ -23,8 +23,9 @@ from measure import TILES, machine, smallest
 from selection_figures import MIDDLE, some_tiles
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.arms import nearest_distance
 from rfpsurvey._kernels import collisions as kernels
-from rfpsurvey.collision import nearest_distance, place_arms
+from rfpsurvey.collision import place_arms
 
 CENTER = SkyCoord(180 * u.deg, 30 * u.deg)
 N_TILES, DENSITY = 300, 1500

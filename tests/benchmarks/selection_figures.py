@@ -24,10 +24,13 @@ from astropy.coordinates import SkyCoord
 from measure import TILES, arguments, machine, peak_gb
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.selection import _folder, _run, _select, _work
-from rfpsurvey.selection._state import State
-from rfpsurvey.survey import Request
+from rfpsurvey._sky.arrays import SkyIndex
+from rfpsurvey._survey.request import Request
+from rfpsurvey._survey.selection import run as _folder
+from rfpsurvey._survey.selection import run as _run
+from rfpsurvey._survey.selection import select as _select
+from rfpsurvey._survey.selection import work as _work
+from rfpsurvey._survey.selection.work import State
 
 FOOTPRINT = 1.6 * u.deg
 MIDDLE = SkyCoord(180 * u.deg, 20 * u.deg)

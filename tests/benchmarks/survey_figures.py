@@ -21,7 +21,7 @@ from astropy.coordinates import SkyCoord
 from measure import TILES, arguments, machine, peak_gb
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import SkyIndex
+from rfpsurvey._sky.arrays import SkyIndex
 
 FOOTPRINT = 1.6 * u.deg
 POLE = SkyCoord(0 * u.deg, 90 * u.deg)

@@ -19,7 +19,8 @@ from measure import hexagon
 
 import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
-from rfpsurvey._kernels import collisions, reference
+from rfpsurvey._kernels import batch as reference
+from rfpsurvey._kernels import collisions
 from rfpsurvey.benchmark import random_tips
 from rfpsurvey.collision import place_arms
 

@@ -4,7 +4,8 @@ import astropy.units as u
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.collision import find_collisions, nearest_distance
+from rfpsurvey._instruments.arms import nearest_distance
+from rfpsurvey.collision import find_collisions
 from sky_center import CENTER
 
 

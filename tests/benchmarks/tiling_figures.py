@@ -13,7 +13,7 @@ from astropy.coordinates import SkyCoord
 from measure import timed
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import as_instrument
+from rfpsurvey._instruments.instrument import as_instrument
 from rfpsurvey.tiling import METHODS
 
 DATA = Path(__file__).parents[2] / "data"

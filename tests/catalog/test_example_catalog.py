@@ -10,8 +10,8 @@ import setuptools
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import _example_files
-from rfpsurvey.catalog._example_files import unpack
+from rfpsurvey._sky import example_files as _example_files
+from rfpsurvey._sky.example_files import unpack
 
 ROOT = Path(__file__).parents[2]
 
@@ -76,7 +76,7 @@ def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
     build.ensure_finalized()
     build.build_lib, build.editable_mode = str(tmp_path), editable
     build.run()
-    folder = tmp_path / "rfpsurvey" / "catalog" / "examples"
+    folder = tmp_path / "rfpsurvey" / "_sky" / "examples"
     assert folder.exists() != editable
     if not editable:
         monkeypatch.setattr(_example_files, "_PLACES", ((folder, ".packed"),))

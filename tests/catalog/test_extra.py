@@ -11,8 +11,8 @@ from astropy.time import Time
 from raising import refused, warned
 
 import rfpsurvey as rs
-from rfpsurvey._descriptions import OUTCOMES_COLUMNS, TILE_COLUMNS, VISITS_COLUMNS
-from rfpsurvey.catalog import RESERVED
+from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS, TILE_COLUMNS, VISITS_COLUMNS
+from rfpsurvey._sky.arrays import RESERVED
 
 COORD = SkyCoord([95.0, 95.1, np.nan, 95.3] * u.deg, [23.0, 23.1, 23.2, 23.3] * u.deg)
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from rfpsurvey.catalog import SkyIndex
+from rfpsurvey._sky.arrays import SkyIndex
 
 
 def unit(lon, lat):

@@ -9,7 +9,7 @@ from odd_columns import COLUMNS
 from raising import refused, warned
 
 import rfpsurvey as rs
-from rfpsurvey.catalog._extra import result_name
+from rfpsurvey._sky.arrays import result_name
 
 pytestmark = pytest.mark.filterwarnings("ignore:It is strongly recommended that column names")
 CENTER = SkyCoord([95] * u.deg, [23] * u.deg)

@@ -12,8 +12,8 @@ from astropy.time import Time
 from raising import refused, warned
 
 import rfpsurvey as rs
-from rfpsurvey.catalog._parts import Partitions
-from rfpsurvey.survey import _source
+from rfpsurvey._sky.parts import Partitions
+from rfpsurvey._survey import source as _source
 
 pytest.importorskip("pyarrow")
 import pyarrow as pa

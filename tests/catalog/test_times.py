@@ -12,7 +12,7 @@ from astropy.utils.masked import Masked
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import to_moment, to_time
+from rfpsurvey._sky.time import to_moment, to_time
 
 DAY = "2026-07-01"
 MOMENT = f"{DAY}T06:30:00"

@@ -9,9 +9,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _app
-from rfpsurvey._cli._main import COMMANDS, commands
-from rfpsurvey.inputs._plan_file import add_text
+from rfpsurvey._cli import command as _app
+from rfpsurvey._cli.application import COMMANDS, commands
+from rfpsurvey._survey.key_objects import add_text
 
 PNG = b"\x89PNG\r\n\x1a\n"
 BENCHMARKS = [f"benchmark {name}" for name in ("collisions", "batches", "probability")]

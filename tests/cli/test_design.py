@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 import flat
 import rfpsurvey as rs
 from rfpsurvey._cli import design
-from rfpsurvey.plot._style import COLLISION
+from rfpsurvey.plot._axes import COLLISION
 
 MM = u.mm
 GRID = {"central_arm": [7.5, 8.25, 9] * MM, "ratio": [1, 1.5], "pitch": [25, 28, 31] * MM, "clearance": 2 * MM}

@@ -7,7 +7,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey._cli._main import COMMANDS
+from rfpsurvey._cli.application import COMMANDS
 
 ARGUMENTS = {
     "convert": ["plan.ecsv", ""],

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey.survey import _run
+from rfpsurvey._survey import run as _run
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 NIGHT = "2026-01-03"

@@ -9,8 +9,8 @@ import pytest
 
 import interrupts
 import rfpsurvey as rs
-from rfpsurvey import _temporary
-from rfpsurvey._cli import _process
+from rfpsurvey._cli import process as _process
+from rfpsurvey._common import temporary as _temporary
 
 pytestmark = pytest.mark.skipif(not hasattr(os, "killpg"), reason="needs process groups")
 KEPT = "rfpsurvey: interrupted; the finished tiles are stored in the folder; continue with --resume"

@@ -11,7 +11,7 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import sentence
-from rfpsurvey._cli import _main
+from rfpsurvey._cli import application as _main
 
 FILES = ("tile.fits", "tile.png", "tile.html")
 

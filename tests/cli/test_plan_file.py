@@ -11,8 +11,8 @@ import pytest
 
 import rfpsurvey as rs
 from rfpsurvey._cli import plan, survey
-from rfpsurvey.inputs import _plan_file
-from rfpsurvey.inputs._keys import Part, build, keys_of
+from rfpsurvey._survey import key_objects as _plan_file
+from rfpsurvey._survey.key_types import Part, build, keys_of
 
 SURVEY = keys_of(survey.SurveyKeys)
 

@@ -8,7 +8,7 @@ import pytest
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import arm_classes
+from rfpsurvey._instruments.facts import arm_classes
 
 BANDS = ("g", "r", "i", "gaia_g", "h")
 

@@ -12,8 +12,8 @@ import typer
 from numba.core import event
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _compiling
-from rfpsurvey._cli._main import COMMANDS
+from rfpsurvey._cli import application as _compiling
+from rfpsurvey._cli.application import COMMANDS
 
 PROGRAM = """
 import runpy, sys

@@ -5,7 +5,7 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey._cli._main import COMMANDS
+from rfpsurvey._cli.application import COMMANDS
 
 PRINTED = "States of positioners from broken.csv"
 APO, BROKEN, TIME = "--instrument sdss_apo", "--set instrument.broken={}", "--set instrument.state_time="

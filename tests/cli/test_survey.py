@@ -12,8 +12,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey._cli import _process, _surveys
-from rfpsurvey.inputs import WorkerKeys
+from rfpsurvey._cli import process as _process
+from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._survey.key_groups import WorkerKeys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
 

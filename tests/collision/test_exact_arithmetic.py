@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from adversarial import ADVERSARIAL, random_pairs
 from oracles import closer_than, squared_distance
 from pair_test import decide
-from rfpsurvey._kernels import collisions, reference
-from rfpsurvey.collision._exact_arithmetic import closer_exactly
+from rfpsurvey._instruments.collision_methods import closer_exactly
+from rfpsurvey._kernels import batch as reference
+from rfpsurvey._kernels import collisions
 from strategies import segments
 
 

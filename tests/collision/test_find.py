@@ -10,8 +10,9 @@ from raising import refused
 
 import rfpsurvey as rs
 from oracles import segment_distances, tip_and_elbow
+from rfpsurvey._instruments.arms import nearest_distance
 from rfpsurvey._kernels import collisions
-from rfpsurvey.collision import nearest_distance, place_arms
+from rfpsurvey.collision import place_arms
 from scenes import MM, lamost_like, random_tips, sdss_like
 from strategies import coarse
 

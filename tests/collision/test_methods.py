@@ -15,7 +15,8 @@ from raising import refused
 
 import rfpsurvey as rs
 from oracles import closer_than, squared_distance
-from rfpsurvey._kernels import collisions, reference
+from rfpsurvey._kernels import batch as reference
+from rfpsurvey._kernels import collisions
 from rfpsurvey.collision import METHODS, place_arms
 from scenes import MM, SCENES, lamost_like, random_tips, sdss_like
 
@@ -303,9 +304,10 @@ def test_an_instrument_whose_arms_cannot_touch_costs_nothing(monkeypatch):
     assert (plane.collision_type, len(plane.arrays.neighbors)) == (1, 0)
     tips = plane.xy + [12, 3] * MM
     expected = rs.find_collisions(plane, tips)
-    monkeypatch.setattr("rfpsurvey.collision._find.pose_tips", None)
+    monkeypatch.setattr("rfpsurvey._instruments.find_collisions.pose_tips", None)
     monkeypatch.setattr(
-        "rfpsurvey.collision._find.METHODS", {name: replace(one, function=None) for name, one in METHODS.items()}
+        "rfpsurvey._instruments.find_collisions.METHODS",
+        {name: replace(one, function=None) for name, one in METHODS.items()},
     )
     for method in METHODS:
         report = rs.find_collisions(plane, tips, method=method)

@@ -11,7 +11,8 @@ from matplotlib.figure import Figure
 from outlined import DESI_LIKE, placed
 
 import rfpsurvey as rs
-from rfpsurvey.collision import METHODS, nearest_distance, place_arms
+from rfpsurvey._instruments.arms import nearest_distance
+from rfpsurvey.collision import METHODS, place_arms
 
 CAPSULE = rs.Positioner(
     7.4 * u.mm, 15 * u.mm, 2 * u.mm, arm_model="capsule", arm_length=14.7 * u.mm, arm_angle=-1.4 * u.deg

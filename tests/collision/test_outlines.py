@@ -9,10 +9,10 @@ import pytest
 from outline_pairs import PLACES, SHAPES, closer, count, decide, exact_points, gaps, make_pairs, place_all, sizes
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.collision_methods import outlines_closer_exactly
+from rfpsurvey._instruments.outline import make_outline
 from rfpsurvey._kernels import outlines
 from rfpsurvey._kernels.collisions import segments_squared
-from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
-from rfpsurvey.positioner import make_outline
 
 
 @pytest.mark.few(4)

@@ -18,11 +18,11 @@ from shapely import MultiPoint, Point, contains_xy
 from shapely.ops import unary_union
 
 import rfpsurvey as rs
-from rfpsurvey.compare._allocators import synthetic_fields
-from rfpsurvey.pipeline import project_field
-from rfpsurvey.plot import draw_instruments
-from rfpsurvey.probability import rate_interval
-from rfpsurvey.probability._intervals import quantile, wilson
+from rfpsurvey._field.constraints import project_field
+from rfpsurvey._studies.compare_allocators import synthetic_fields
+from rfpsurvey._studies.intervals import quantile, wilson
+from rfpsurvey._studies.run import rate_interval
+from rfpsurvey.plot._comparisons import draw_instruments
 
 MM = u.mm
 CENTER = SkyCoord(30 * u.deg, -10 * u.deg)

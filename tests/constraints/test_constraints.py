@@ -9,8 +9,9 @@ import pytest
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.constraints import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities, as_constraints
-from rfpsurvey.constraints._text import BUILT_IN, find_constraints
+from rfpsurvey._assignment.constraints.constraint import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
+from rfpsurvey._assignment.constraints.text import BUILT_IN, find_constraints
+from rfpsurvey.constraints import as_constraints
 
 CIRCLE = rs.Region.parse("cap 95 23 0.01")
 
@@ -147,7 +148,8 @@ def test_a_file_in_the_package_is_all_that_a_constraint_requires(tmp_path, monke
     )
     monkeypatch.syspath_prepend(tmp_path)
     assert [*find_constraints("rules", tmp_path / "rules")] == ["one"]
-    assert BUILT_IN["keep_out"] is rs.constraints.KeepOut is rs.KeepOut
+    assert BUILT_IN["keep_out"] is rs.KeepOut
+    assert all(getattr(rs.constraints, kind.__name__) is kind for kind in BUILT_IN.values())
     assert {"keep_out", "magnitude", "motion", "required"} <= {*BUILT_IN}
     for name, constraint in BUILT_IN.items():
         assert name == constraint.name

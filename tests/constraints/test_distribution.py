@@ -10,11 +10,13 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from brute import best_plan
-from rfpsurvey.allocation import _clusters, _search, _spread
-from rfpsurvey.allocation._candidates import find_candidates
-from rfpsurvey.allocation._clusters import program_of
-from rfpsurvey.allocation._distribution import drop_neighbors
-from rfpsurvey.allocation._local_search import repair_collisions, stand
+from rfpsurvey._assignment import clusters as _clusters
+from rfpsurvey._assignment import search as _search
+from rfpsurvey._assignment import spread as _spread
+from rfpsurvey._assignment.candidates import find_candidates
+from rfpsurvey._assignment.clusters import program_of
+from rfpsurvey._assignment.distribution import drop_neighbors
+from rfpsurvey._assignment.local_search import repair_collisions, stand
 from rule_scenes import CENTER, MM, Scene
 
 CHUNK, N_SCENES = 25, 150

@@ -15,8 +15,8 @@ from shapely import Point, Polygon
 
 import flat
 import rfpsurvey as rs
+from rfpsurvey._assignment.constraints.stars import distances
 from rfpsurvey.constraints import GuideStars
-from rfpsurvey.constraints._guide_stars import distances
 
 CENTER = SkyCoord("6h20m +23d")
 HALF = 13.5e-3 * 1024

@@ -8,8 +8,7 @@ from raising import refused
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.allocation import Shortfall
-from rfpsurvey.constraints import sentences
+from rfpsurvey._assignment.constraints.counts import Shortfall, sentences
 
 names = st.text(st.characters(codec="utf-8", exclude_characters="@=/<>\n", exclude_categories=("C", "Z")), min_size=1)
 

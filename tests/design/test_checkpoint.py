@@ -10,8 +10,10 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from processes import explore, explore_and_tell
-from rfpsurvey.design import _checkpoint
-from rfpsurvey.design._rows import digest_of, to_rows
+from rfpsurvey._common.io import write_table
+from rfpsurvey._common.read_tables import read_table
+from rfpsurvey._studies import design_rows as _checkpoint
+from rfpsurvey._studies.design_rows import digest_of, to_rows
 
 
 def test_two_scans_in_one_file_are_refused(tmp_path):
@@ -47,7 +49,7 @@ def test_simultaneous_processes_never_write_the_file_in_turns(tmp_path):
     wrote = [seed for seed, text in said.items() if text == "wrote"]
     assert wrote
     assert all("another run uses this file" in text for seed, text in said.items() if seed not in wrote)
-    table = rs._io.read_table(tmp_path / "scan.fits")
+    table = read_table(tmp_path / "scan.fits")
     assert table.meta["request"]["seed"] in wrote
     assert table.meta["digest"] == digest_of(to_rows(table))
 
@@ -58,10 +60,10 @@ def test_changed_values_are_not_resumed(tmp_path, ending):
     path = tmp_path / f"scan.{ending}"
     explore(path)
     for rows, other_rows in (([3], [4]), ([3, 4], [4, 3])):
-        table = rs._io.read_table(path)
+        table = read_table(path)
         table["loss"][rows] = table["loss"][other_rows]
         copy = tmp_path / f"copy.{ending}"
-        rs._io.write_table(table, copy, overwrite=True)
+        write_table(table, copy, overwrite=True)
         with pytest.raises(rs.InputError, match="is damaged: its values differ from the values that the scan wrote"):
             explore(copy, resume=True)
 

@@ -17,10 +17,10 @@ from hypothesis import strategies as st
 import flat
 import rfpsurvey as rs
 from oracles import annuli_coverage
-from rfpsurvey.design import _checkpoint
-from rfpsurvey.design._losses import METHODS, _gap
-from rfpsurvey.design._rows import on_front
-from rfpsurvey.design._work import Task
+from rfpsurvey._studies import design_rows as _checkpoint
+from rfpsurvey._studies.design import Task
+from rfpsurvey._studies.design_rows import on_front
+from rfpsurvey._studies.losses import METHODS, _gap
 
 MM = u.mm
 LAMOST = {"central_arm": 8.25 * MM, "ratio": 1.0, "pitch": 25.6 * MM, "clearance": 2.25 * MM}

@@ -6,7 +6,7 @@ import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
-from rfpsurvey.focal_plane import with_circles
+from rfpsurvey._instruments.margins import with_circles
 
 
 def test_circles_that_are_added_are_obstacles_of_the_new_focal_plane_only(presets):

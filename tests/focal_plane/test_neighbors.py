@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from rfpsurvey.focal_plane._neighbors import nearest_within, pairs_within
+from rfpsurvey._instruments.reach import nearest_within, pairs_within
 
 
 @pytest.mark.few(1)

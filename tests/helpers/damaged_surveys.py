@@ -16,8 +16,8 @@ from astropy.io import fits
 from living import content, events, instrument, sha, targets, tiling
 
 import rfpsurvey as rs
+from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey.survey import SurveyState, survey_status
-from rfpsurvey.survey._history._event_files import read_events
 
 SKY, TINY, TILES = targets(), instrument(), tiling()
 SKY = replace(SKY, visits=np.where(SKY.id == 1005, 0, SKY.visits))  # one visit is requested, because it is required

@@ -10,10 +10,10 @@ import numpy as np
 import shapely
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.collision_methods import outlines_closer_exactly
+from rfpsurvey._instruments.outline import make_outline
 from rfpsurvey._kernels import outlines
 from rfpsurvey._kernels.outlines import RADIUS, outlines_squared, place_outline
-from rfpsurvey.collision._exact_arithmetic import outlines_closer_exactly
-from rfpsurvey.positioner import make_outline
 
 CLEAR = 1e-9
 # Smaller than all positive differences of distances of points whose coordinates are sums of two floats.

@@ -4,8 +4,8 @@ import numpy as np
 from astropy.io import fits
 from astropy.table import Table
 
-from rfpsurvey.instrument import pfs_fibers
-from rfpsurvey.plans._pfsdesign_write import design_id
+from rfpsurvey._field.format_pfsdesign_write import design_id
+from rfpsurvey._instruments.pfs_files import pfs_fibers
 
 PITCH = 8.0
 OFFSET = -0.16, 2.26

@@ -3,7 +3,7 @@
 import astropy.units as u
 
 import rfpsurvey as rs
-from rfpsurvey._folder import locked
+from rfpsurvey._common.folder import locked
 
 OPTIONS = {
     "central_arm": [8, 9] * u.mm,

@@ -144,7 +144,7 @@ def _results(folder, table) -> list[Sample]:
     plane.write(folder / "plane.ecsv")
 
     def read_plane(path):
-        from rfpsurvey._readers import read_table
+        from rfpsurvey._common.read_tables import read_table
 
         return len(rs.FocalPlane.from_table(read_table(path)))
 

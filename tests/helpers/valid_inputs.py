@@ -17,9 +17,9 @@ from astropy.table import Table
 
 import rfpsurvey as rs
 import sdssv_files
+from rfpsurvey._survey.selection import run as _folder
+from rfpsurvey._survey.tiling.columns import times_of_tiles
 from rfpsurvey.design import explore_designs
-from rfpsurvey.selection import _folder
-from rfpsurvey.tiling import times_of_tiles
 from valid_files import CENTER, Sample
 
 PRESETS = Path(rs.__file__).parent / "presets"

@@ -330,7 +330,7 @@ def test_exclusions_that_expand_in_memory_are_refused(folder, monkeypatch):
     path = folder / "bad.yaml"
     path.write_text(f"segment: &a [[1, 1], [2, 2]]\nmany: &b [{'*a,' * 500}]\ndefault: [{'*b,' * 500}]\n")
     plane = folder / "desi-focalplane_2020-01-01T00:00:00.ecsv"
-    monkeypatch.setattr("rfpsurvey.instrument._desi_state.MOST_VALUES", 50_000)
+    monkeypatch.setattr("rfpsurvey._instruments.desi_state.MOST_VALUES", 50_000)
     refused(r"bad\.yaml: there must be at most 50000 values, got more", rs.Instrument.from_desi, plane, exclusions=path)
 
 

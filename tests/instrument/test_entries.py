@@ -5,7 +5,7 @@ import re
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.instrument._entries import ENTRIES, NEED, check_description
+from rfpsurvey._instruments.entries import ENTRIES, NEED, check_description
 from rfpsurvey.positioner import Positioner
 
 BASE = """

@@ -8,7 +8,7 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from oracles import annuli_coverage
-from rfpsurvey.instrument import fact_texts
+from rfpsurvey._instruments.facts import fact_texts
 
 MM = u.mm
 DEG2 = (np.pi / 180) ** 2

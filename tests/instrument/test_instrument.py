@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import as_instrument
+from rfpsurvey._instruments.instrument import as_instrument
 
 COUNTS = {"lamost": 4000, "sdss_apo": 500, "sdss_lco": 500, "moons": 1001, "desi": 5000, "pfs": 2394}
 TYPES = {"lamost": 2, "sdss_apo": 3, "sdss_lco": 3, "moons": 3, "desi": 2, "pfs": 2}

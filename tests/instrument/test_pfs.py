@@ -11,7 +11,7 @@ from pfs_files import OFFSET, centers, cobra_columns, write_cobras, write_files
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import pfs_engineering_fibers, pfs_fibers
+from rfpsurvey._instruments.pfs_files import pfs_engineering_fibers, pfs_fibers
 
 DOTS, FIDUCIALS = "black_dots_mm-2024-11-05.csv", "fiducial_positions_20240513.csv"
 INTERFERENCE = "cobraInterference_20260731.csv"

@@ -15,8 +15,8 @@ from raising import refused, warned
 
 import rfpsurvey as rs
 import sdssv_files
+from rfpsurvey._instruments.instrument import as_instrument
 from rfpsurvey.collision import place_arms
-from rfpsurvey.instrument import as_instrument
 
 PLACES = {"BOSS": "boss", "APOGEE": "ap", "METROLOGY": "met"}
 

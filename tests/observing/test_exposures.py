@@ -9,8 +9,8 @@ from astropy.utils import iers
 from raising import refused
 
 import rfpsurvey as rs
+from rfpsurvey._sky.projection import field_basis
 from rfpsurvey.observing import ObservedField
-from rfpsurvey.projection import field_basis
 
 MAS = np.deg2rad(1 / 3.6e6)
 RATE = np.deg2rad(15 * 1.00273781191135448)  # rotation of the Earth in an hour

@@ -11,8 +11,9 @@ from astropy.time import Time
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import choose_projection
-from rfpsurvey.observing import MODELS, ObservedField
+from rfpsurvey._instruments.compare_projections import choose_projection
+from rfpsurvey._sky.observed_field import MODELS
+from rfpsurvey.observing import ObservedField
 from rfpsurvey.projection import FieldProjection
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)

@@ -12,8 +12,10 @@ from astropy.utils import iers
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.observing import SITES, ObservedField, ObservedPlane
-from rfpsurvey.projection import FieldProjection, field_basis
+from rfpsurvey._sky.conditions import SITES
+from rfpsurvey._sky.projection import field_basis
+from rfpsurvey.observing import ObservedField, ObservedPlane
+from rfpsurvey.projection import FieldProjection
 
 TIME = Time("2024-05-10T05:00:00")
 EAST = 3 * u.hourangle

@@ -14,7 +14,7 @@ from astropy.time import Time
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.tiling import conditions_of_tiles
+from rfpsurvey._survey.tiling.columns import conditions_of_tiles
 
 CENTERS = SkyCoord([94.9, 95.2, 95.0] * u.deg, [23, 23, 23.2] * u.deg)
 HOURS = [-3.0, 0.5, 4.0]

@@ -13,7 +13,7 @@ from astropy.table import Table
 
 import rfpsurvey as rs
 import sdssv_files
-from rfpsurvey.instrument import pfs_fibers
+from rfpsurvey._instruments.pfs_files import pfs_fibers
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks" / "planners"))
 import judge

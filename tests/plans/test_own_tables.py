@@ -126,6 +126,6 @@ def test_private_entries_of_a_plan_that_are_damaged_are_refused_when_it_is_writt
 
 def test_errors_of_the_program_are_not_errors_of_the_input(tmp_path, tile, monkeypatch):
     """Regression: every exception of a writer became an InputError that stated that the plan was damaged."""
-    monkeypatch.setattr("rfpsurvey.plans._table.write", lambda *_, **__: [].missing)
+    monkeypatch.setattr("rfpsurvey._field.format_table.write", lambda *_, **__: [].missing)
     with pytest.raises(AttributeError, match="missing"):
         rs.plans.write_plan(tile, tmp_path / "a.ecsv")

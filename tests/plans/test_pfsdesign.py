@@ -9,9 +9,9 @@ from pfs_files import centers, design, write_design
 from raising import refused, warned
 
 import rfpsurvey as rs
+from rfpsurvey._field.format_pfsdesign_write import design_id
+from rfpsurvey._instruments.pfs_files import PFI_ANGLE, pfs_fibers
 from rfpsurvey.errors import InputError
-from rfpsurvey.instrument import pfs_fibers
-from rfpsurvey.plans._pfsdesign_write import PFI_ANGLE, design_id
 
 REAL = "pfs/pfsDesign-0x2a3e0e7f53f47587.fits.gz"
 

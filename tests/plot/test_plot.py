@@ -13,7 +13,7 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
-from rfpsurvey.plot._style import ARM, COLLISION, FADED, IDLE, OBSTACLE, PATROL
+from rfpsurvey.plot._axes import ARM, COLLISION, FADED, IDLE, OBSTACLE, PATROL
 
 CENTER = SkyCoord(95, 23, unit="deg")
 

@@ -11,7 +11,7 @@ from matplotlib.text import Annotation
 from text_tables import text_table
 
 import rfpsurvey as rs
-from rfpsurvey.benchmark._common import processor
+from rfpsurvey._studies.benchmark_probability import processor
 
 COLLISIONS = """
 method n_points time n_colliding_true misclassified max_error

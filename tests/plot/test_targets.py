@@ -13,9 +13,9 @@ from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
 
 import rfpsurvey as rs
-from rfpsurvey.pipeline import OUTCOMES, Outcome
+from rfpsurvey._field.verdicts import OUTCOMES, Outcome
+from rfpsurvey.plot._axes import ARM, SERIES
 from rfpsurvey.plot._classes import MOST, OUTCOME_COLORS, short_names
-from rfpsurvey.plot._style import ARM, SERIES
 
 CENTER = SkyCoord(95, 23, unit="deg")
 N = 1500

@@ -71,7 +71,7 @@ def test_units_and_radii():
 
 
 def test_the_offset_contains_the_central_parts_for_all_lengths_of_the_central_arm():
-    from rfpsurvey.positioner import make_outline
+    from rfpsurvey._instruments.outline import make_outline
 
     outline = rs.positioner.ArmOutline([[[0, -1], [4, 0], [0, 1]] * u.mm], central=[[[-1, 0], [0, 0]] * u.mm])
     made = make_outline(outline, np.zeros((2, 2)), np.array([3.0, 5.0]))

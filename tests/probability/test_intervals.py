@@ -9,8 +9,8 @@ from scipy import stats
 
 import flat
 import rfpsurvey as rs
+from rfpsurvey._studies.intervals import INTERVALS, converged, effective_number, quantile, wilson
 from rfpsurvey.probability import Precision
-from rfpsurvey.probability._intervals import INTERVALS, converged, effective_number, quantile, wilson
 from scenes import MM, both_hands, lamost_like, sdss_like
 
 FIELDS = ("value", "value_assigned", "low", "high", "standard_error", "n", "n_effective", "pairs_per_positioner")

@@ -6,11 +6,11 @@ from scipy import stats
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets, rate_interval
-from rfpsurvey.probability._intervals import BEYOND, CORRELATION, sky_variance
-from rfpsurvey.probability._run import summarize
-from rfpsurvey.probability._simulate import Simulation
-from rfpsurvey.probability._targets import make_source
+from rfpsurvey._studies.intervals import BEYOND, CORRELATION, sky_variance
+from rfpsurvey._studies.run import rate_interval, summarize
+from rfpsurvey._studies.simulate import Simulation
+from rfpsurvey._studies.targets import make_source
+from rfpsurvey.probability import Precision, ProbabilityQuestion, RandomTargets
 from scenes import MM, lamost_like, sdss_like
 
 

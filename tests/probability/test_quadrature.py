@@ -11,7 +11,7 @@ from raising import refused
 import flat
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation
-from rfpsurvey.probability._quadrature import environments
+from rfpsurvey._studies.quadrature import environments
 from scenes import MM, SCENES, both_hands, lamost_like, sdss_like, with_troubles
 
 NUMBERS = ("value", "value_assigned", "pairs_per_positioner")

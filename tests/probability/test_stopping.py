@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
+from rfpsurvey._studies.quadrature import integrate
+from rfpsurvey._studies.run import run
+from rfpsurvey._studies.simulate import CollisionSums
+from rfpsurvey._studies.targets import Source
 from rfpsurvey.probability import Precision, ProbabilityQuestion
-from rfpsurvey.probability._quadrature import integrate
-from rfpsurvey.probability._run import run
-from rfpsurvey.probability._simulate import CollisionSums
-from rfpsurvey.probability._targets import Source
 from scenes import lamost_like
 
 PLANE = lamost_like(1)

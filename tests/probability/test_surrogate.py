@@ -6,8 +6,8 @@ import pytest
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey.probability._quadrature import environments
-from rfpsurvey.probability._surrogate import AXES, interior_probability
+from rfpsurvey._studies.quadrature import environments
+from rfpsurvey._studies.surrogate import AXES, interior_probability
 
 MM = u.mm
 PITCH = 31.0

@@ -11,7 +11,8 @@ from scipy.spatial import cKDTree
 import flat
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation, lamost_target, tangent_plane_mm
-from rfpsurvey.probability import Precision, RandomTargets, make_source
+from rfpsurvey._studies.targets import make_source
+from rfpsurvey.probability import Precision, RandomTargets
 from scenes import CAPSULE, MM, lamost_like, sdss_like
 
 CENTER = SkyCoord(95, 23, unit="deg")

@@ -7,8 +7,8 @@ from functools import partial
 import numpy as np
 import pytest
 
-from rfpsurvey import InputError
-from rfpsurvey._readers import read_arrays
+from rfpsurvey._common.read_documents import read_arrays
+from rfpsurvey.errors import InputError
 
 EXPECTED = {"a": ("f8", (None, 2)), "n?": ("i8", ())}
 

@@ -8,7 +8,7 @@ import pytest
 
 import rfpsurvey as rs
 from refusals import refusal, written
-from rfpsurvey._readers import read_table
+from rfpsurvey._common.read_tables import read_table
 
 pytestmark = pytest.mark.filterwarnings("ignore:column 'id' .id. is empty in 1 of")
 

@@ -13,7 +13,7 @@ from astropy.io.fits import Header
 
 import rfpsurvey as rs
 from refusals import refusal, written
-from rfpsurvey._readers import _limits
+from rfpsurvey._common import read_documents as _limits
 
 MOST_BYTES, MOST_SECONDS = 2 * 2**30, 10
 

@@ -9,7 +9,7 @@ from astropy.io import fits
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey._readers import read_table, read_tables
+from rfpsurvey._common.read_tables import read_table, read_tables
 
 
 def test_integers_with_a_unit_stay_exact(tmp_path):

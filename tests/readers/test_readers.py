@@ -13,9 +13,9 @@ from astropy.table import MaskedColumn, QTable, Table
 
 import rfpsurvey as rs
 from refusals import refusal, sentence, written
-from rfpsurvey import _io
-from rfpsurvey._readers import read_fits_bytes, read_table, read_tables
-from rfpsurvey._readers._fits import read_plain
+from rfpsurvey._common import io as _io
+from rfpsurvey._common.read_fits import read_fits_bytes, read_plain
+from rfpsurvey._common.read_tables import read_table, read_tables
 
 DEG = u.deg
 PLACES = {"ra": [1, 2.0] * DEG, "dec": [1, 2.0] * DEG}
@@ -324,7 +324,7 @@ def test_the_fast_reader_of_simple_tables_agrees_with_astropy(monkeypatch):
     cards |= {"LONG": "long text " * 15, "NONE": ""}
     content = _io.fits_bytes(columns, cards)
     plain = read_plain(content)
-    monkeypatch.setattr("rfpsurvey._readers._fits.read_plain", lambda _: None)
+    monkeypatch.setattr("rfpsurvey._common.read_fits.read_plain", lambda _: None)
     slow = read_fits_bytes(content)
     assert plain[0].dtype == slow[0].dtype
     assert plain[0].tolist() == slow[0].tolist()

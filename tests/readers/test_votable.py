@@ -13,7 +13,7 @@ from astropy.utils import minversion
 
 import rfpsurvey as rs
 from refusals import refusal, written
-from rfpsurvey._readers import read_table
+from rfpsurvey._common.read_tables import read_table
 
 VOTABLE = """<?xml version="1.0"?><VOTABLE version="1.4" xmlns="http://www.ivoa.net/xml/VOTable/v1.3"><RESOURCE><TABLE>
 {}<DATA><{kind}><STREAM {how}>{}</STREAM></{kind}></DATA></TABLE></RESOURCE></VOTABLE>"""

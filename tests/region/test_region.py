@@ -9,8 +9,8 @@ from astropy_healpix import HEALPix
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey import _healpix
-from rfpsurvey.region import circle_around, distance_to, is_inside
+from rfpsurvey._sky import shapes as _healpix
+from rfpsurvey._sky.shapes import circle_around, distance_to, is_inside
 
 DEG = u.deg
 

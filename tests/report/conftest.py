@@ -13,7 +13,7 @@ def visit():
 @pytest.fixture(scope="package")
 def write_view():
     """Return a function that writes a page with only the interactive view of a result, without figures and tables."""
-    from rfpsurvey.report import notebook_view
+    from rfpsurvey.report._views import notebook_view
 
     def write(result, path, **options):
         path.write_text(notebook_view(result, **options).page)

@@ -20,7 +20,8 @@ from statuses import status_table
 import flat
 import rfpsurvey as rs
 from pages import LOADING, Reader, full
-from rfpsurvey.report import _svg, _tile
+from rfpsurvey.report import _html as _svg
+from rfpsurvey.report import _tile
 
 CENTER = SkyCoord(95, 23, unit="deg")
 NASTY = "<script>alert('x')</script> \x07 & \"y\" ]]> --> </svg>"

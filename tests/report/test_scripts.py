@@ -9,7 +9,7 @@ from importlib.resources import files
 import numpy as np
 import pytest
 
-from rfpsurvey.plot._style import light_scale
+from rfpsurvey.plot._axes import light_scale
 
 REPORT = files("rfpsurvey.report")
 STATES = ["science", "standard", "sky", "collision", "struck", "reach", "idle", "unusable"]

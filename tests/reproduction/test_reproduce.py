@@ -13,7 +13,7 @@ from reproduction._intervals import SCENES, coverage
 from reproduction._large import COVERED, _differences, _of_differences, _of_plain
 from reproduction._one_sky import one_sky
 from reproduction._poisson import _of_reading, drops_by_ratio
-from rfpsurvey._folder import locked
+from rfpsurvey._common.folder import locked
 
 QUICK = Settings(quick=True)
 

@@ -7,8 +7,9 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey.selection._alternate import Generation, generations_of
-from rfpsurvey.survey import SurveyState, VisitRule, prepare_request
+from rfpsurvey._survey.plan import prepare_request
+from rfpsurvey._survey.selection.alternate import Generation, generations_of
+from rfpsurvey.survey import SurveyState, VisitRule
 
 INSTRUMENT = "sdss_apo"
 TILES = SkyCoord([120.0, 120.7, 120.0, 120.7, 120.3] * u.deg, [30.0, 30.0, 30.6, 30.6, 30.3] * u.deg)

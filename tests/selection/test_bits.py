@@ -5,7 +5,7 @@ import pytest
 from astropy.table import QTable
 from scipy import stats
 
-from rfpsurvey.selection import _probabilities
+from rfpsurvey._survey.selection import probabilities as _probabilities
 
 
 def lss_columns(observed):

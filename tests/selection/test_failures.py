@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey.selection._alternate import failure_rates
-from rfpsurvey.selection._work import Failures
+from rfpsurvey._survey.selection.alternate import failure_rates
+from rfpsurvey._survey.selection.work import Failures
 
 SCRIPT = Path(__file__).parents[1] / "benchmarks" / "history_weights.py"
 PLANE = rs.FocalPlane.hexagonal(rs.Positioner(8 * u.mm, 8 * u.mm, 2 * u.mm), rings=3, pitch=25.6 * u.mm)

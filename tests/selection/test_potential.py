@@ -10,7 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from oracles import tangent_plane_mm
-from rfpsurvey._io import read_table
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey.selection import PotentialAssignments
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)

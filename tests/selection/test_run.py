@@ -14,7 +14,7 @@ from astropy.io import fits
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
-from rfpsurvey.selection import _folder
+from rfpsurvey._survey.selection import run as _folder
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 AS = "as for the survey"

@@ -6,10 +6,10 @@ import pytest
 
 import rfpsurvey as rs
 from realizations import sky_of, tiles_of
+from rfpsurvey._field.plan import FieldReach
 from rfpsurvey._kernels.batch import BORDERLINE
-from rfpsurvey.pipeline import FieldReach
-from rfpsurvey.selection import _work
-from rfpsurvey.selection._work import find_lost
+from rfpsurvey._survey.selection import work as _work
+from rfpsurvey._survey.selection.work import find_lost
 
 D = 4.5
 

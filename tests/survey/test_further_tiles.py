@@ -35,7 +35,7 @@ def parts(folder):
 @pytest.fixture
 def planned(monkeypatch):
     """Return a list of the tiles that are planned."""
-    from rfpsurvey.survey import _run
+    from rfpsurvey._survey import run as _run
 
     found, work = [], _run.work
     monkeypatch.setattr(_run, "work", lambda job: found.append(job.tile) or work(job))

@@ -103,7 +103,7 @@ def test_an_interrupted_search_continues(case, survey, tmp_path):
 def test_a_finished_joint_plan_is_read(case, survey, tmp_path, monkeypatch):
     plan(case, folder=tmp_path / "survey")
     before = content(tmp_path / "survey")
-    monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
+    monkeypatch.setattr("rfpsurvey._survey.request.Request.job", None)
     found = plan(case, folder=tmp_path / "survey", resume=True)
     assert (rows_of(found), found.summary) == (rows_of(survey), survey.summary)
     assert found.joint.colnames == survey.joint.colnames

@@ -8,7 +8,7 @@ from astropy.table import QTable
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey.survey._bookkeeping import Bookkeeping
+from rfpsurvey._survey.bookkeeping import Bookkeeping
 
 MM = u.mm
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)

@@ -7,7 +7,7 @@ import pytest
 from joint_program import JointProgram, survey_with
 
 import rfpsurvey as rs
-from rfpsurvey._roles import has_role
+from rfpsurvey._sky.arrays import has_role
 
 CHUNK = 20
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")

@@ -4,13 +4,10 @@ import numpy as np
 import pytest
 from scipy.sparse import csr_array
 
-from rfpsurvey import JointOptions
-from rfpsurvey.allocation import TileCandidates, no_rules
-from rfpsurvey.allocation._weighted import TileRules
-from rfpsurvey.survey._joint._network import make_network
-from rfpsurvey.survey._joint._patches import Patches
-from rfpsurvey.survey._joint._paths import Paths
-from rfpsurvey.survey._joint._search import Search
+from rfpsurvey._assignment.weighted import TileCandidates, TileRules, no_rules
+from rfpsurvey._survey.joint.fixed import JointOptions
+from rfpsurvey._survey.joint.network import Patches, Paths, make_network
+from rfpsurvey._survey.joint.search import Search
 
 
 def random_network(rng, collisions):

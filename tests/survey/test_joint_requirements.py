@@ -10,7 +10,7 @@ from astropy.table import QTable
 from joint_program import JointProgram, random_survey, survey_with, visits_by_class
 
 import rfpsurvey as rs
-from rfpsurvey.survey._joint import _search
+from rfpsurvey._survey.joint import search as _search
 
 pytestmark = pytest.mark.filterwarnings(
     "ignore:no target was observed",

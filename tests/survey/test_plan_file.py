@@ -12,7 +12,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey.survey._plan_file import call_of, keys_in
+from rfpsurvey._survey.plan_file import call_of, keys_in
 
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)

@@ -9,9 +9,9 @@ from astropy.table import QTable, Table
 from living import content, events, instrument, tiling
 
 import rfpsurvey as rs
-from rfpsurvey._roles import has_role
-from rfpsurvey.plot import plot_quality
-from rfpsurvey.survey import _run
+from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._survey import run as _run
+from rfpsurvey.plot._quality import plot_quality
 
 REQUIREMENTS = ["standard=3", "sky=1-2"]
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")

@@ -8,8 +8,8 @@ from typing import NamedTuple
 import numpy as np
 import pytest
 
-from rfpsurvey.survey import run_rounds
-from rfpsurvey.survey._order import ORDERS, make_rounds
+from rfpsurvey._survey.request import ORDERS, make_rounds
+from rfpsurvey._survey.work import run_rounds
 
 ROUNDS = [np.arange(0, 40)[::-1], np.arange(40, 43), np.arange(43, 43), np.arange(43, 343)]
 KNOWN = [3, 41, 99]

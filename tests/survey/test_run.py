@@ -24,7 +24,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey import _io
+from rfpsurvey._common import io as _io
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
 
@@ -290,7 +290,7 @@ def test_an_error_names_its_tile(case, monkeypatch):
     def fail(job):
         raise ZeroDivisionError
 
-    monkeypatch.setattr("rfpsurvey.survey._run.work", fail)
+    monkeypatch.setattr("rfpsurvey._survey.run.work", fail)
     with pytest.raises(ZeroDivisionError) as error:
         plan(case, None)
     assert error.value.__notes__[0].startswith("while tile ")
@@ -299,7 +299,7 @@ def test_an_error_names_its_tile(case, monkeypatch):
 def test_a_finished_survey_is_read_without_the_targets_of_its_tiles(case, folder, undisturbed, monkeypatch):
     """Regression: resuming a finished survey took longer than planning it."""
     first, done, time = rs.Survey.read(folder), [], (folder / PART).stat().st_mtime_ns
-    monkeypatch.setattr("rfpsurvey.survey._request.Request.job", None)
+    monkeypatch.setattr("rfpsurvey._survey.request.Request.job", None)
     again = plan(case, folder, resume=True, progress=lambda k, n: done.append((k, n)))
     assert (content(folder), again.summary, len(again.targets)) == (undisturbed, first.summary, len(first.targets))
     assert (done, (folder / PART).stat().st_mtime_ns) == ([(50, 50)], time)

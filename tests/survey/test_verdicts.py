@@ -7,7 +7,8 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.survey import _unmet, _work
+from rfpsurvey._survey import columns as _unmet
+from rfpsurvey._survey import work as _work
 
 CENTER = SkyCoord("6h20m +23d")
 LIMIT, NEAR, COUNT = "magnitude mag 12.0 20.0 standard '' allowed", "distribution sky 1 80.0 20.0 ''", "sky=4"

@@ -12,7 +12,8 @@ from living import content
 
 import flat
 import rfpsurvey as rs
-from rfpsurvey.survey import _rounds
+from rfpsurvey._survey import work as _rounds
+from rfpsurvey._survey.folder import Folder
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +34,7 @@ def test_workers_write_the_same_files(case, kind, tmp_path, monkeypatch):
     else:
         executor = ProcessPoolExecutor(2, mp_context=multiprocessing.get_context("spawn"))
     paths = []
-    monkeypatch.setattr(rs.survey._folder.Folder, "put_file", lambda _, name, __: paths.append(name))
+    monkeypatch.setattr(Folder, "put_file", lambda _, name, __: paths.append(name))
     with executor:
         flat.plan_survey(*case, folder=tmp_path / "workers", executor=executor)
     assert (content(tmp_path / "workers"), paths) == (content(tmp_path / "alone"), [])
@@ -47,9 +48,8 @@ def test_damaged_files_are_replaced_by_the_first_process(case, tmp_path, monkeyp
     index = (tmp_path / "survey/index.csv").read_text().splitlines(keepends=True)
     (tmp_path / "survey/index.csv").write_text("".join(line for line in index if lost not in line))
     (tmp_path / "survey/tiles.fits").unlink()
-    folder, recorded = rs.survey._folder.Folder, []
-    record = folder.record
-    monkeypatch.setattr(folder, "record", lambda self, *entry: (recorded.append(entry[0]), record(self, *entry)))
+    record, recorded = Folder.record, []
+    monkeypatch.setattr(Folder, "record", lambda self, *entry: (recorded.append(entry[0]), record(self, *entry)))
     with ThreadPoolExecutor(2) as executor, pytest.warns(rs.RfpsurveyWarning, match="planned again"):
         flat.plan_survey(*case, folder=tmp_path / "survey", executor=executor, resume=True)
     assert (content(tmp_path / "survey"), recorded) == (before, [lost])

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 
 import rfpsurvey as rs
-from rfpsurvey import _descriptions
-from rfpsurvey.tile import _facts
+from rfpsurvey._common import descriptions as _descriptions
+from rfpsurvey._field import facts as _facts
 
 DESCRIBED = {
     "tile": (_descriptions.TILE_COLUMNS, lambda tile: tile.table),

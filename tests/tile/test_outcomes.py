@@ -10,7 +10,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 import rfpsurvey as rs
-from rfpsurvey.tile import tile_objectives
+from rfpsurvey._field.facts import tile_objectives
 
 CENTER = SkyCoord(95, 23, unit="deg")
 N = 1500

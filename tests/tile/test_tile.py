@@ -13,7 +13,7 @@ from astropy.utils.masked import Masked
 import flat
 import rfpsurvey as rs
 from oracles import segment_distances
-from rfpsurvey.tile._table import TableOfTile
+from rfpsurvey._field.table import TableOfTile
 
 MM = u.mm
 CENTER = SkyCoord(95, 23, unit="deg")

@@ -6,9 +6,9 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import as_instrument
+from rfpsurvey._instruments.instrument import as_instrument
+from rfpsurvey._survey.tiling.problem import TilingState
 from rfpsurvey.tiling import Fibers
-from rfpsurvey.tiling._problem import TilingState
 
 CENTER = SkyCoord("8h +30d")
 

@@ -10,11 +10,11 @@ from astropy.coordinates import SkyCoord
 from scipy.optimize import linear_sum_assignment
 
 import rfpsurvey as rs
-from rfpsurvey.catalog import SkyIndex
-from rfpsurvey.tiling import _greedy
-from rfpsurvey.tiling._network import UNASSIGNED, _Cells, _cost, _flow, _relax
-from rfpsurvey.tiling._problem import TilingProblem, TilingState, visit_all
-from rfpsurvey.tiling._serve import FreeFibers, neighbors_within
+from rfpsurvey._sky.arrays import SkyIndex
+from rfpsurvey._survey.tiling import greedy as _greedy
+from rfpsurvey._survey.tiling.centers import FreeFibers, neighbors_within
+from rfpsurvey._survey.tiling.network import UNASSIGNED, _Cells, _cost, _flow, _relax
+from rfpsurvey._survey.tiling.problem import TilingProblem, TilingState, visit_all
 
 DEG = u.deg
 

@@ -10,8 +10,8 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 from oracles import fewest_circles
+from rfpsurvey._survey.tiling.centers import FreeFibers
 from rfpsurvey.tiling import METHODS, Centers
-from rfpsurvey.tiling._serve import FreeFibers
 
 DEG = u.deg
 SEARCHES = [name for name, one in METHODS.items() if not one.needs_tiles]

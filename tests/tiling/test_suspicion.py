@@ -6,7 +6,7 @@ import pytest
 from astropy.table import QTable
 
 import rfpsurvey as rs
-from rfpsurvey.tiling import warn_of_targets
+from rfpsurvey._survey.tiling.columns import warn_of_targets
 
 TAKEN = "are taken as centers of tiles"
 

@@ -11,9 +11,10 @@ from astropy_healpix import HEALPix
 from scipy.spatial import cKDTree
 
 import rfpsurvey as rs
-from rfpsurvey.region import border_of, circle_around, distance_to, is_inside
-from rfpsurvey.tiling import Centers, Fibers, as_tiling
-from rfpsurvey.tiling._covering import dither, hexagonal, lattice, spiral, widest_gap
+from rfpsurvey._sky.shapes import border_of, circle_around, distance_to, is_inside
+from rfpsurvey._survey.tiling.cover import dither, hexagonal, lattice, spiral, widest_gap
+from rfpsurvey._survey.tiling.tiling import as_tiling
+from rfpsurvey.tiling import Centers, Fibers
 
 DEG = u.deg
 CENTERS = {"equator": (180, 0), "zero": (0.01, 30), "north pole": (0, 90), "south": (77, -89.5)}

@@ -17,7 +17,7 @@ from astropy.io import fits
 from astropy.table import Table, vstack
 
 import rfpsurvey as rs
-from rfpsurvey.instrument import pfs_fibers
+from rfpsurvey._instruments.pfs_files import pfs_fibers
 from rfpsurvey.projection import TangentPlane
 
 CENTER = SkyCoord("6h20m +23d")

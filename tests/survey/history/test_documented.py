@@ -13,8 +13,8 @@ from history_from_docs import STATES, DocumentedHistory, Plan, Report
 from living import content, differences, events, instrument, part, sha, targets, tiling
 
 import rfpsurvey as rs
+from rfpsurvey._survey.folder import Folder
 from rfpsurvey.survey import VisitRule, survey_status
-from rfpsurvey.survey._folder import Folder
 
 RULES = ({}, {"retries": 0}, {"after_success": 2}, {"visits": 1, "retries": 1})
 PETALS = np.array([0, 0, 0, 0, 1, 1, 1])

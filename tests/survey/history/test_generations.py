@@ -11,9 +11,9 @@ from astropy.io import fits
 from living import content, events, part, sha
 
 import rfpsurvey as rs
-from rfpsurvey._folder import LOCK, locked
-from rfpsurvey.survey import _generations
-from rfpsurvey.survey._folder import Folder
+from rfpsurvey._common.folder import LOCK, locked
+from rfpsurvey._survey import generations as _generations
+from rfpsurvey._survey.folder import Folder
 
 
 @pytest.fixture
@@ -123,7 +123,7 @@ def test_two_writers_wait_for_each_other(survey, monkeypatch):
             assert survey.record(events(tile=11, date="2026-01-03"))["n_events"] == 1
             assert time.perf_counter() - before > 0.4
         else:
-            monkeypatch.setattr("rfpsurvey.survey._history._record.WAIT", 0.2)
+            monkeypatch.setattr("rfpsurvey._survey.history.record.WAIT", 0.2)
             with pytest.raises(rs.InputError, match="another run uses this folder"):
                 survey.undo(1)
             ends.set()

@@ -11,7 +11,7 @@ import pytest
 from living import content, differences, events, instrument, targets, tiling
 
 import rfpsurvey as rs
-from rfpsurvey.selection import _folder
+from rfpsurvey._survey.selection import run as _folder
 from rfpsurvey.survey import SurveyState
 
 resource = pytest.importorskip("resource")

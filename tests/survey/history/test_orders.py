@@ -8,8 +8,8 @@ import pytest
 from living import content, differences, events, part, replan, targets
 
 import rfpsurvey as rs
+from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey.survey import VisitRule
-from rfpsurvey.survey._history._event_files import read_events
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ from astropy.time import Time
 from living import content, events, instrument, targets, tiling
 
 import rfpsurvey as rs
-from rfpsurvey.survey._history._dates import to_date
+from rfpsurvey._survey.history.events import to_date
 
 NIGHT = "2026-01-03"
 

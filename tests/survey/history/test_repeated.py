@@ -6,8 +6,8 @@ import pytest
 from living import events, replan
 
 import rfpsurvey as rs
-from rfpsurvey.survey._history import _event_files
-from rfpsurvey.survey._history._replay import TileStates
+from rfpsurvey._survey.history import event_files as _event_files
+from rfpsurvey._survey.history.replay import TileStates
 
 
 def failed(survey):

@@ -1,0 +1,1 @@
+"""The assignment of targets to positioners: allocators, and the constraints that plans follow."""

@@ -1,0 +1,1 @@
+"""The built-in constraints, and the interface of constraints."""

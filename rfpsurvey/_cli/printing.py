@@ -1,0 +1,224 @@
+"""Functions that print the results of commands and write files with the results."""
+
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from textwrap import fill
+
+import numpy as np
+from astropy.table import QTable
+
+import rfpsurvey as rs
+from rfpsurvey._common.io import write_table, writing_to
+from rfpsurvey._common.read_tables import is_fits, suffix_of
+from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
+from rfpsurvey.errors import brief
+from rfpsurvey.report._blocks import estimate_facts, model_facts, tiling_facts
+
+PICTURES = (".png", ".pdf", ".svg")
+MOST_OBJECTIVES = 12
+WIDTH = 100  # largest number of characters in a line of text
+LONG = 44  # number of characters of the labels of a tiling
+MAP = (
+    "The color gives the collision probability of each positioner. The probabilities of single positioners "
+    "scatter, since the number of random trials is finite. The expected probability is the same everywhere "
+    "inside a regular lattice without gaps; positioners at edges and beside gaps have fewer neighbors. "
+    "Dashed circles mark positioners that are not counted in the mean."
+)
+
+
+def print_text(text: str, indent: str = "  ") -> None:
+    """Print text in lines of at most ``WIDTH`` characters; all lines except the first one begin with ``indent``."""
+    print(fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
+
+
+def print_facts(facts: Mapping[str, object], width: int = 12, wide: int = 34) -> None:
+    """Print labels and values, one pair per line, in columns with the given numbers of characters."""
+    for label, value in facts.items():
+        text = f"{value:.4f}" if isinstance(value, float) else str(value)
+        print(f"{label:<{wide}}{text:>{width}}")
+
+
+def print_model(name: str, allocator: str, summary: Mapping, parameters: Mapping) -> None:
+    """Print the first lines of the summary of a survey: the instrument, the allocator, the model and the epoch."""
+    print(f"{name}, allocator {allocator}")
+    if "model" in summary:  # the value is missing in surveys that earlier versions wrote
+        print_text(f"model: {summary['model']}")
+    if summary.get("epoch") and parameters.get("epoch") is None:
+        print_text(f"epoch: {summary['epoch']}")
+
+
+@contextmanager
+def files(output, *, write=None, draw=None, quality=None, report=None) -> Iterator[None]:
+    """Write the output files before the summary is printed, and print their names after the summary.
+
+    The files are written first, so that they exist even if the program that reads the printed text closes the pipe.
+    If writing one of them fails or is interrupted, there are no new files.
+    ``output`` contains the keys of the outputs. ``write`` writes the file with the given path, and ``draw`` and
+    ``quality`` return the figures of the files ``plot`` and ``quality``. ``report`` contains the result and the options
+    of `write_report`.
+    """
+    calls = {} if write is None else {"path": lambda file, _: write(file)}
+    for name, figure in (("plot", draw), ("quality", quality)):
+        calls[name] = lambda file, path, figure=figure: figure().savefig(file, dpi=200, format=path.suffix[1:].lower())
+    calls["report"] = lambda file, _: rs.write_report(report[0], file, **report[1])
+    writers = [(path, call) for name, call in calls.items() if (path := getattr(output, name, None)) is not None]
+    with ExitStack() as stack:  # all files are renamed when all of them are complete
+        for path, call in writers:
+            file = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=output.overwrite, gzipped=True))
+            try:
+                call(file, path)
+            except rs.InputError as error:
+                raise type(error)(str(error).replace(str(file), str(path))) from error
+    yield
+    for path, _ in writers:
+        print(f"wrote {path}")
+
+
+def finish(tile: "rs.Tile", output) -> None:
+    """Write a tile and, if requested, its figures and its report, and print its summary."""
+    path, color = output.path, getattr(output, "targets", None)
+    with files(
+        output,
+        write=tile.write,
+        draw=lambda: rs.plot.plot_focal_plane(tile, targets=color).figure,
+        quality=lambda: rs.plot.plot_quality(tile)[0].figure,
+        report=(tile, {"data": path}),
+    ):
+        print_summary(tile)
+        if path is not None and tile.outcomes is not None and not is_fits(path):
+            print(
+                f"{path} does not contain the outcomes of targets; to keep the outcomes, write a .fits file, "
+                "which can hold two tables"
+            )
+
+
+def finish_tiling(tiling: "rs.Tiling", shown: dict, output) -> None:
+    """Write a tiling, its plot (with the targets and the region in ``shown``) and its report; print its summary."""
+    with files(
+        output,
+        write=tiling.write,
+        draw=lambda: rs.plot.draw_tiling(tiling, **shown),
+        report=(tiling, {"data": output.path}),
+    ):
+        print_facts(tiling_facts(tiling), 10, LONG)
+
+
+def finish_comparison(table, plans: dict, output) -> None:
+    """Print a comparison of allocators, and write the files that are requested: the table, the plot and the report."""
+    with files(
+        output,
+        write=partial(write_table, table),
+        draw=lambda: rs.plot.plot_allocators(table).figure,
+        report=(table, {"data": output.path, "plans": plans}),
+    ):
+        kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
+        print_text(
+            f"{table.meta['instrument']}, arm model {table.meta['arm_model']}{kept}; {table.meta['blind_science']} "
+            "science targets could be assigned if arms did not collide"
+        )
+        print_table(table)
+        for name, sentences in table.meta["unmet"].items():
+            for sentence in sentences:
+                print_text(f"{name}: not met: {sentence}")
+
+
+def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
+    """Print an estimate of a collision probability; write the table, the plot and the report if requested."""
+    plane, shape = model.focal_plane, model.focal_plane.positioner.arm_model
+    table = QTable({"id": plane.id, "x": plane.xy[:, 0], "y": plane.xy[:, 1], "probability": estimate.per_positioner})
+    table.meta.update(
+        estimate.meta, instrument=model.name, arm_model=shape, method=estimate.method, value=estimate.value
+    )
+
+    def draw():
+        return rs.plot.plot_collision_map(estimate, plane).figure
+
+    page = {"title": f"Collision probability of {model.name}"}
+    if output.report is not None:
+        page["figures"] = {MAP: draw()}
+    with files(output, write=partial(write_table, table), draw=draw, report=(estimate, page)):
+        kept = f", margins: {margins}" if (margins := model.focal_plane.margins) else ""
+        print_text(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
+        print_facts(estimate_facts(estimate), 0)
+        meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
+        print_text(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
+
+
+def finish_table(table, draw, output) -> None:
+    """Print a table of results, and write it with its plot and, if requested, its report."""
+    name, page = table.meta["instrument"], {"data": output.path}
+    if output.report is not None:
+        caption = f"Computing time and error of each method, for {name}."
+        page |= {"title": f"Benchmark: {name}", "figures": {caption: draw(table)[0]}}
+    with files(output, write=partial(write_table, table), draw=lambda: draw(table)[0].figure, report=(table, page)):
+        print_table(table)
+
+
+def print_summary(tile: "rs.Tile") -> None:
+    """Print the summary of a tile, one value per line."""
+    name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
+    layout = f", {tile.provenance['instrument'].get('layout', '')}" if values["allocator"] == "scored" else ""
+    print(f"{name}{layout.rstrip(', ')}, allocator {values['allocator']}")
+    for text in tile_problems(tile):
+        print_text(text)
+    if "ra_deg" in values:
+        turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
+        where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
+        print_text(f"{where}, {turn}, epoch {values['epoch'] or 'unknown'}")
+        if tile.summary.get("epoch") and values.get("epoch_asked") is None:
+            print_text(f"epoch: {tile.summary['epoch']}")
+    elif "positions" in values:
+        print("collisions were found from positions on the focal plane, which do not require a field center")
+    for label, text in model_facts(tile).items():
+        print_text(f"{label}: {text}")
+    print_facts(tile_facts(tile), 10)
+    _print_objectives(tile)
+    kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
+    if kinds and not values["requirements"]:
+        example = " ".join(f"--constraint {kind}=20" for kind in sorted(kinds))
+        text = f"standard stars and sky positions are assigned only if numbers of them are required, such as {example}"
+        print_text(text)
+    if tile.completeness is not None and len(tile.completeness) > 1:
+        print_text(
+            "number of targets of the field by kind, category and priority; a target is observed if it is assigned "
+            "and its positioner does not collide:"
+        )
+        print_table(tile.completeness)
+    seconds = tile.summary["seconds"]
+    each = ", ".join(f"{name} {value:.3f}" for name, value in seconds.items())
+    print_text(f"{'seconds':<34}{sum(seconds.values()):>10.3f}  {each}", " " * 46)
+
+
+def _print_objectives(tile: "rs.Tile") -> None:
+    """Print the value of each objective, the gap to the best possible plan, and the requirements that are not met."""
+    summary = tile.summary
+    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
+        print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
+    if summary.get("gap") is not None:
+        model = summary["search"].get("model", "")
+        print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}".rstrip())
+    for sentence in summary.get("unmet", []):
+        print_text(f"not met: {sentence}")
+    _print_rules(tile)
+
+
+def _print_rules(tile: "rs.Tile") -> None:
+    """Print the verdict on each constraint."""
+    if tile.rules is None:
+        return
+    print("constraint, number, limit, verdict, and positioners that violate it:")
+    for verdict in rules_of_tile(tile.rules):
+        number = [] if np.isnan(verdict["number"]) else [f"{verdict['number']:.6g} ({verdict['limit']})"]
+        fibers = [f"positioners {brief(tuple(verdict['fibers'].split()))}"] if verdict["fibers"] else []
+        words = "; ".join([*number, *filter(None, [verdict["note"]]), *fibers])
+        print_text(f"{verdict['verdict']:<14}{verdict['rule']}: {words}", " " * 16)
+
+
+def print_table(table) -> None:
+    """Print a table of results with four significant digits."""
+    table = table.copy()
+    for column in table.columns.values():
+        if column.dtype.kind == "f":
+            column.info.format = ".4g"
+    print("\n".join(table.pformat(max_lines=-1, max_width=-1)))

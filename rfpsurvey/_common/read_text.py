@@ -1,0 +1,346 @@
+"""Read text tables (CSV and ECSV), after a check that each line is a complete row."""
+
+import re
+import warnings
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+from astropy.table import Table
+from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
+
+from rfpsurvey._common.read_documents import MOST_COLUMNS, check_rows, check_width, content_of, warn_of_open_end
+from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey.errors import InputError, warn
+
+DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}
+DATA = re.compile(rb"^[ \t]*[^#\s][^\n]*", re.MULTILINE)
+# The names of the columns must be within this number of bytes from the beginning of the file.
+MOST_NAMES_BYTES = 2**22
+QUOTED = re.compile(rb'"[^"]*"')
+MOST_HEADER = 2**18
+MOST_CELLS = 100_000
+MARK = "x"  # with this prefix, a number is read as text
+COMMA = re.compile(rb"^# *delimiter: *['\"]?,", re.MULTILINE)
+SHAPE = re.compile(rb"subtype: *['\"]?\w+\[([^\]\n]*)")
+WIDE = re.compile(rb"datatype: *['\"]?[<>=|]?[SUVa](\d+)")
+
+
+def read_csv(path: Path) -> Table:
+    """Return the table of a CSV file, delimited by commas, semicolons, tabs or vertical bars; comments begin with #."""
+    content, delimiter, units = find_names(path, _checked_content(path))
+    n_lines = count_lines(path, content, 0, delimiter)
+    if n_lines == 0:
+        raise InputError(f"{path}: the first row must contain the names of the columns, got no row")
+    if delimiter == b"\t" and b'"' not in content:  # for other delimiters, astropy removes blanks
+        content = re.sub(rb" *\t *", b"\t", content)
+    # the expression begins with the zero, because a search for a single byte is fast
+    zeros = re.compile(rb'0(?<=[\n" %s]0)(?=\d+ *(?:["\r\n%s]|\Z))' % (delimiter, delimiter))
+    marked = zeros.sub(MARK.encode() + b"0", content).decode("utf-8") if zeros.search(content) else None
+    text = content.decode("utf-8")
+    del content
+    # only the format "tab" keeps an empty first value
+    options = {"format": "tab" if delimiter == b"\t" else "csv", "guess": False, "comment": "#"}
+    if delimiter not in b",\t":
+        options["delimiter"] = delimiter.decode()
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        table = _parse(text, options)
+        if marked is not None:
+            _keep_leading_zeros(table, _parse(marked, options))
+    for message in dict.fromkeys(str(w.message) for w in caught if "FloatType" in str(w.message)):
+        warn(f"{path}: {message}")
+    table.meta.clear()
+    for name in set(units) & set(table.colnames):
+        unit = Unit(units[name], parse_strict="silent")
+        is_known = not isinstance(unit, UnrecognizedUnit) and unit != dimensionless_unscaled
+        if is_known and table[name].dtype.kind in "if":
+            table[name].unit = unit
+    check_rows(path, table, n_lines - 1)
+    return table
+
+
+def read_ecsv(path: Path) -> Table:
+    """Return the table of an ECSV file."""
+    content = _checked_content(path)
+    warn_of_open_end(path, content)
+    begin = _end_of_header(content)
+    header = content[:begin]
+    if begin > MOST_HEADER:
+        raise InputError(f"{path}: the ECSV header must have at most {MOST_HEADER} bytes, got {begin}")
+    for shape in SHAPE.findall(header):
+        sizes = [int(n) for n in re.findall(rb"\d{1,9}", shape)]
+        if np.prod(sizes, dtype=float) > MOST_CELLS:
+            raise InputError(f"{path}: a value must have at most {MOST_CELLS} elements, got [{shape.decode()}]")
+    for width in WIDE.findall(header):
+        if len(width) > 5:
+            raise InputError(
+                f"{path}: the values of a column must have at most 99999 characters, got the width {width.decode()}"
+            )
+    from astropy.io import ascii as text_tables
+
+    n_lines = count_lines(path, content, begin, b"," if COMMA.search(header) else b" ", ragged=True)
+    lines = content.decode("utf-8").split("\n")
+    del content
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        table = text_tables.read(lines, format="ecsv", guess=False)
+    check_rows(path, table, n_lines - 1)
+    return table
+
+
+def _parse(text: str, options: dict) -> Table:
+    from astropy.io import ascii as text_tables
+
+    if text.isascii():
+        if "\n" not in text:  # astropy interprets text without a line break as a path
+            text += "\n"
+        return text_tables.read(text, fast_reader={"enable": "force"}, **options)
+    # the fast reader cannot read characters outside ASCII
+    lines = [line for line in text.split("\n") if line.strip() and not line.lstrip(" \t").startswith("#")]
+    return text_tables.read(lines, fast_reader=False, **options)
+
+
+def _keep_leading_zeros(table: Table, marked: Table) -> None:
+    """Restore leading zeros in columns of digits; in the table ``marked``, numbers with leading zeros are text."""
+    for name, marked_name in zip(table.colnames, marked.colnames, strict=True):
+        if table[name].dtype.kind != "i" or marked[marked_name].dtype.kind != "U":
+            continue
+        missing = np.ma.getmaskarray(np.ma.asarray(table[name]))
+        text = np.char.lstrip(np.where(missing, "", np.asarray(marked[marked_name])), MARK)
+        if np.char.isdigit(text[~missing]).all():
+            table[name] = np.ma.array(text, mask=missing) if missing.any() else text
+
+
+def _checked_content(path: Path) -> bytes:
+    """Return the content of a text file, in which every line ends with LF or CR LF."""
+    content = content_of(path).removeprefix(b"\xef\xbb\xbf")  # the byte-order mark that spreadsheets write
+    if b"\r" in content and content.count(b"\r") != content.count(b"\r\n"):
+        content = content.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+    if content.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise InputError(f"{path}: the file must be text in UTF-8, got UTF-16; save it as UTF-8")
+    where = content.find(b"\0")
+    if where >= 0:
+        raise InputError(f"{path}: line {line_number(content, where)} must be text, got a NUL byte")
+    try:
+        if not content.isascii():
+            content.decode("utf-8")
+    except UnicodeDecodeError as error:
+        number = line_number(content, error.start)
+        raise InputError(
+            f"{path}: line {number} must be text in UTF-8, got the byte 0x{content[error.start]:02x}"
+        ) from None
+    return content
+
+
+def _end_of_header(content: bytes) -> int:
+    """Return the position of the first byte after the comments at the beginning of an ECSV file."""
+    place = 0
+    while place < len(content):
+        end = content.find(b"\n", place) + 1 or len(content)
+        line = content[place:end].lstrip(b" \t")
+        if line.strip() and not line.startswith(b"#"):
+            break
+        place = end
+        if place > MOST_HEADER:
+            break
+    return place
+
+
+BLOCK = 2**22
+# Largest number of blank lines and comments in a file, in addition to ten such lines per row of the table.
+MOST_IDLE = 1_000_000
+NEWLINE, RETURN, TAB, SPACE, QUOTE, HASH = b'\n\r\t "#'
+
+
+def line_number(content: bytes, where: int) -> int:
+    """Return the number, counted from 1, of the line that contains the byte at offset ``where``."""
+    return content.count(b"\n", 0, where) + 1
+
+
+def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, ragged: bool = False) -> int:
+    """Return the number of lines that are neither blank nor comments, including the line with the column names.
+
+    Raise an error for a line with an unclosed quotation mark. Unless ``ragged`` is True, also raise an error for a line
+    whose number of fields differs from the number of fields of the first line.
+    """
+    number, n_lines, n_idle, longest, at, n_fields = line_number(content, begin) - 1, 0, 0, 0, 0, 0
+    while begin < len(content):
+        end = content.find(b"\n", begin + BLOCK) + 1 or len(content)
+        lines = _Lines(content[begin:end], delimiter)
+        if not (n_fields or ragged) and lines.data.any():
+            first = int(np.argmax(lines.data))
+            n_fields = _fields(lines.line(first), delimiter)
+            if n_fields > MOST_COLUMNS:
+                raise InputError(f"{path}: a table must have at most {MOST_COLUMNS} columns, got {n_fields}")
+            if n_fields == 0:
+                raise InputError(_open_quote(path, number + first + 1))
+        if not lines.are_whole(n_fields):
+            _refuse(path, lines, number, n_fields)
+        widest = int(lines.length.argmax())
+        if lines.length[widest] > longest:
+            longest, at = int(lines.length[widest]), number + widest + 1
+        n_data = int(np.count_nonzero(lines.data))
+        n_lines, n_idle, number = n_lines + n_data, n_idle + len(lines.data) - n_data, number + len(lines.data)
+        if n_idle > MOST_IDLE + 10 * n_lines:
+            raise InputError(
+                f"{path}: most lines must be rows of the table, got {n_idle} blank lines and comments up to "
+                f"line {number}"
+            )
+        begin = end
+    check_width(path, n_lines, longest, len(content), f"line {at}")
+    return n_lines
+
+
+class _Lines:
+    """A block of complete lines of the file.
+
+    Parameters
+    ----------
+    block : bytes
+        Content of the lines.
+    delimiter : bytes
+        Character that separates the fields of a line.
+    """
+
+    def __init__(self, block: bytes, delimiter: bytes):
+        self.block, self.delimiter = block, delimiter
+        self.bytes = np.frombuffer(block, np.uint8)
+        ends = np.flatnonzero(self.bytes == NEWLINE)
+        if not len(ends) or ends[-1] != len(block) - 1:
+            ends = np.append(ends, len(block))
+        self.end, self.start = ends, np.append(0, ends[:-1] + 1)
+        self.length = self.end - self.start
+        first = self.bytes[self.start]
+        self.data = (first != NEWLINE) & (first != RETURN)
+        self.comments = []
+        for k in np.flatnonzero((first == SPACE) | (first == TAB) | (first == HASH)).tolist():
+            line = self.line(k).strip()
+            if not line or line.startswith(b"#"):
+                self.data[k] = False
+                self.comments.append(k)
+
+    def line(self, k: int) -> bytes:
+        return self.block[self.start[k] : self.end[k]]
+
+    def are_whole(self, n_fields: int) -> bool:
+        """Return whether the lines are certainly complete rows with ``n_fields`` fields (0: any number of fields).
+
+        In a complete row, each quoted value ends in the line in which it begins.
+        """
+        text, delimiter = self.bytes, self.delimiter[0]
+        if self.comments:
+            text = text.copy()
+            for k in self.comments:
+                text[self.start[k] : self.end[k]] = RETURN
+        n_delimiters = (n_fields - 1) * np.count_nonzero(self.data)
+        if b'"' not in self.block:
+            return not n_fields or np.count_nonzero(text == delimiter) == n_delimiters
+        padded = np.full(len(text) + 4, NEWLINE, np.uint8)
+        padded[2:-2] = text
+        marks = np.flatnonzero((text == delimiter) | (text == QUOTE) | (text == NEWLINE))
+        kinds = text[marks]
+        quotes = kinds == QUOTE
+        inside = (np.cumsum(quotes.view(np.uint8), dtype=np.uint8) & 1).view(bool)
+        place = marks[quotes] + 2
+        before, after = padded[place[::2] - 1], padded[place[1::2] + 1]
+        opens = (before == delimiter) | (before == NEWLINE) | (before == QUOTE)
+        opens |= (before == SPACE) & (padded[place[::2] - 2] == delimiter)
+        closes = (after == delimiter) | (after == NEWLINE) | (after == QUOTE) | (after == RETURN)
+        closes |= (after == SPACE) & (padded[place[1::2] + 2] == delimiter)
+        closed = len(place) % 2 == 0 and opens.all() and closes.all() and not (inside & (kinds == NEWLINE)).any()
+        return closed and (not n_fields or np.count_nonzero((kinds == delimiter) & ~inside) == n_delimiters)
+
+
+def _refuse(path: Path, lines: _Lines, before: int, n_fields: int) -> None:
+    """Raise an error for the first invalid line of a block; ``before`` is the number of preceding lines."""
+    for k in np.flatnonzero(lines.data).tolist():
+        number = _fields(lines.line(k), lines.delimiter)
+        if number == 0:
+            raise InputError(_open_quote(path, before + k + 1))
+        if n_fields and number != n_fields:
+            raise InputError(
+                f"{path}: line {before + k + 1} must have {n_fields} fields, like the first line, got {number} fields"
+            )
+
+
+def _open_quote(path, number) -> str:
+    return (
+        f"{path}: a quoted value must end in the line in which it begins, got an unclosed quotation mark in "
+        f"line {number}"
+    )
+
+
+def _fields(line: bytes, delimiter: bytes) -> int:
+    """Return the number of fields of a line, or 0 if a quoted field does not end."""
+    if b'"' not in line:
+        return line.count(delimiter) + 1
+    n, place = 1, 0
+    while True:
+        while line[place : place + 1] in (b" ", b"\t") and line[place : place + 1] != delimiter:
+            place += 1
+        if line[place : place + 1] == b'"':
+            place = line.find(b'"', place + 1)
+            while place >= 0 and line[place + 1 : place + 2] == b'"':
+                place = line.find(b'"', place + 2)
+            if place < 0:
+                return 0
+        place = line.find(delimiter, place) + 1
+        if place == 0:
+            return n
+        n += 1
+
+
+def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
+    """Return the content of a text table, its delimiter, and a dictionary of column names to units.
+
+    In the returned content, the first row contains the names of the columns. The delimiter is found in the line with
+    these names. If this line contains several possible delimiters, the delimiter that occurs equally often in this line
+    and in the next line is used. The names of the columns can be in a comment before the first row. Lines that are not
+    rows of the table are converted to comments. Examples are the line ``sep=;`` of spreadsheets, and the lines with
+    units and dashes that VizieR writes after the names.
+    """
+    if content[:4].lower() == b"sep=":
+        content = b"#" + content
+    # the first three lines that are neither blank nor comments
+    lines = list(islice(DATA.finditer(content, 0, MOST_NAMES_BYTES), 3))
+    if not lines:
+        return content, b",", {}
+    begin = lines[0].start()
+    delimiter = _delimiter(path, lines[0][0], lines[min(1, len(lines) - 1)][0])
+    names = _split(lines[0][0], delimiter)
+    if len(names) == 1 and len(names[0].split()) > 1:
+        raise InputError(f"{path}: commas must separate the names of the columns, got blanks in {names[0]!r}")
+    if all(is_number(name) for name in names):
+        before = content.rfind(b"\n", 0, max(begin - 1, 0)) + 1
+        comment = content[before:begin].strip()
+        words = _split(comment.lstrip(b"#"), delimiter)
+        if not comment.startswith(b"#") or len(words) != len(names) or any(is_number(word) for word in words):
+            raise InputError(f"{path}: the first row must contain the names of the columns, got {names[0]!r}")
+        return content[:before] + content[before:begin].replace(b"#", b"", 1) + content[begin:], delimiter, {}
+    for k, line in enumerate(lines[1:], 1):
+        if set(line[0].strip()) <= set(b"- " + delimiter) and b"-" in line[0]:
+            words = _split(lines[1][0], delimiter) if k == 2 else []
+            for one in reversed(lines[1 : k + 1]):
+                content = content[: one.start()] + b"#" + content[one.start() :]
+            return content, delimiter, dict(zip(names, words, strict=False))
+    return content, delimiter, {}
+
+
+def _delimiter(path: Path, header: bytes, row: bytes) -> bytes:
+    header, row = QUOTED.sub(b"", header), QUOTED.sub(b"", row)
+    there = [delimiter for delimiter in DELIMITERS if delimiter in header]
+    if len(there) > 1:
+        there = [delimiter for delimiter in there if header.count(delimiter) == row.count(delimiter)] or there
+    if b"," in there or not there:
+        return b","
+    if len(there) > 1:
+        names = " and ".join(DELIMITERS[delimiter] for delimiter in there)
+        raise InputError(
+            f"{path}: one delimiter must separate the columns, got {names}; put commas between all columns"
+        )
+    return there[0]
+
+
+def _split(line: bytes, delimiter: bytes) -> list[str]:
+    return [word.decode("utf-8").strip(' "\r\t') for word in line.split(delimiter)]

@@ -1,0 +1,1 @@
+"""Positioners, focal planes, instruments, and the collisions and motion of their arms."""

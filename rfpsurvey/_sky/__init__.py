@@ -1,0 +1,1 @@
+"""Catalogs of targets, regions of the sky, projections, and observing conditions."""

@@ -1,0 +1,1 @@
+"""Collision probabilities, designs of instruments, comparisons, and benchmarks."""

@@ -1,0 +1,1 @@
+"""Surveys of many tiles, from the request to the stored result."""

@@ -1,0 +1,1 @@
+"""Recorded events of surveys, and what follows from them."""

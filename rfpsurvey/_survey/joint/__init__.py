@@ -1,0 +1,1 @@
+"""Joint plans of all tiles of a survey."""

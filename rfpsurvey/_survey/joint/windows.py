@@ -1,0 +1,254 @@
+"""The search for a joint plan of dated tiles, whose targets have cadences.
+
+A *place* is a pair of a target and a tile that can observe it. A *sequence* is a list of places of a target that
+completes its first epochs. The plan changes by moves that remove a few targets and add them again
+(``_kernels/windows``). Visits of the first plan that complete no epoch remain until a move removes them. In the upper
+bounds, prices replace the limits that a positioner has one target and that arms do not collide (subgradient
+optimization); each target then has its own best sequence.
+"""
+
+import numpy as np
+
+from rfpsurvey._kernels import windows as kernels
+from rfpsurvey._survey.cadences import NIGHT
+from rfpsurvey._survey.joint.network import Network, Paths
+from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
+
+# Number of times that an iteration considers each target that is not complete.
+PASSES = 20
+# Number of adjustments of the prices for each bound. The step is halved if the bound does not decrease LATE times.
+N_STEPS, LATE = 150, 8
+# Values of a visit and of a complete cadence in the bounds of the numbers of complete cadences and of visits.
+WHOLE, VISIT = (0.0, 1.0), (1.0, 0.0)
+# Absolute and relative rounding error of a bound.
+ROUNDING = 1e-6, 1e-9
+
+
+class WindowSearch(JointSearch):
+    """A plan of all tiles that observes targets in their windows, and upper bounds."""
+
+    def __init__(self, network: Network, chosen: np.ndarray, request):
+        super().__init__(network, chosen, request.joint)
+        self.request, self._links = request, Paths(network).links
+        self._dates, place_of, self._time_of = _dates_of(network, request)
+        self._work, self._picked = _work_for(self._dates)
+        n_places = len(self._dates.p_tile)
+        self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
+        self._load = network.matrix[: network.n_cliques] @ np.bincount(chosen, minlength=len(network.target))
+        self._load = self._load.astype(np.int64)
+        self._links.room[:] = self.limits - network.sums(chosen)
+        self._used, self._done = np.full(n_places, -1), self._counts_of_targets()
+        mine = chosen[place_of[chosen] >= 0]
+        self._used[place_of[mine]] = mine
+        self.bounds_complete = self.bounds.copy()
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
+        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        np.add.at(by_class, self.network.rank_of_target, self._done)
+        return np.cumsum(by_class, axis=0)[self.levels]
+
+    @property
+    def visits(self) -> np.ndarray:
+        """Number of visits of each level."""
+        return self.counts[:, 1]
+
+    def _counts_of_targets(self) -> np.ndarray:
+        """Return whether each target is complete, and its number of visits, in the first plan."""
+        network, windows = self.network, self.request.open_state().windows
+        slots = np.append(network.slot, -1)[network.target[self.chosen]]
+        counted = network.rank[self.chosen] < network.n_classes
+        for tile in np.argsort(self.request.days, kind="stable").tolist():
+            part = slice(network.first[tile], network.first[tile + 1])
+            slot = slots[part][counted[part]]
+            windows.enter(slot[windows.state(slot, tile)[0]], tile)
+        counts = np.concatenate([windows.counts(), np.zeros((1, 2), dtype=np.int64)])
+        return counts[np.where(network.rank_of_target < network.n_classes, network.slot, -1)]
+
+    def begin(self) -> None:
+        """Improve the first plan, and compute the bounds."""
+        self.bounds_complete, self.bounds = (self._without_limits(*values) for values in (WHOLE, VISIT))
+        self.bounds_of_all = self.bounds.copy()
+        self._record()
+        self._improve(1)
+        for k in range(len(self.levels)) if not self.network.free.any() else ():
+            self._bound_level(k)
+        self._record()
+
+    def iterate(self, _executor: object) -> None:
+        """Run one iteration, which considers each target that is not complete several times."""
+        self._improve(PASSES)
+        self.iteration += 1
+        self._record()
+
+    @property
+    def gaps(self) -> np.ndarray:
+        """Relative difference between the number of complete cadences of each level and its upper bound."""
+        n = self.counts[:, 0]
+        return 1.0 - n / np.maximum(np.maximum(self.bounds_complete, n), 1.0)
+
+    @property
+    def _may_end(self) -> bool:
+        """Whether the search can end when the gaps are small: no further visits are possible."""
+        return bool((self.visits >= self.bounds).all())
+
+    def _record(self) -> None:
+        counts = self.counts
+        bounds = self.bounds.copy(), self.bounds_complete.copy()
+        self.steps.append(Step(self.iteration, self.seconds, counts[:, 1], bounds[0], counts[:, 0], bounds[1]))
+
+    def _improve(self, passes: int) -> None:
+        """Try to complete each target that is not complete, a number of times."""
+        rng = np.random.default_rng([self.request.seed, self.iteration, passes])
+        totals = np.diff(self._dates.e_indptr)[self._dates.cadence]
+        real = (self.network.rank_of_target < self.network.n_classes) & (totals > 0)
+        gain = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        for _ in range(passes):
+            if self.out_of_time():
+                break
+            order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
+            rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
+            state = self.chosen, self._load, self._used, self._done
+            work = self._cost, self._found, self._work, self._picked
+            kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
+
+    def _bound_level(self, k: int) -> None:
+        """Compute the bounds of the numbers of complete cadences and of visits of a level."""
+        whole, visits = self.counts[k].tolist()
+        rules = self._minima()
+        limit = (1 + 2 * k) / (2 * len(self.levels)) * FOR_PRICES
+        self.bounds_complete[k] = self._bound(k, *WHOLE, whole, rules, limit)
+        self.bounds[k] = self._bound(k, *VISIT, visits, rules, limit + FOR_PRICES / (2 * len(self.levels)))
+        self.bounds_of_all[k] = self._bound(k, *VISIT, visits, [], FOR_PRICES) if rules else self.bounds[k]
+
+    def _minima(self) -> list:
+        """Return the candidates, their cliques and the smallest number of requirements on sky fibers and standards.
+
+        The requirements share no candidates.
+        """
+        network, taken, minima = self.network, np.zeros(len(self.network.target), dtype=bool), []
+        cliques = network.matrix[: network.n_cliques].tocsc()
+        for row in np.flatnonzero(network.is_count & (self.limits < 0)).tolist():
+            part = network.rules[[row]]
+            members = part.indices[part.data < 0]
+            is_sky = (network.rank[members] >= network.n_classes).all()  # the prices of science fibers count elsewhere
+            if len(members) and is_sky and not taken[members].any():
+                taken[members] = True
+                members = np.sort(members)
+                minima.append((members, cliques[:, members], int(-self.limits[row])))
+        return minima
+
+    def _without_limits(self, per_visit: float, per_whole: float) -> np.ndarray:
+        """Return the largest sum of the values of the targets of each level if tiles observe all targets in reach.
+
+        The parameters are those of `_bound`.
+        """
+        network, n_tiles = self.network, len(self._dates.day)
+        positioner, target = network.pairs
+        tile = np.repeat(self._time_of, np.diff(network.first))[positioner]
+        places = np.unique(target.astype(np.int64) * n_tiles + tile)
+        dates = self._dates._replace(p_indptr=_starts(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
+        work, picked = _work_for(dates)
+        by_class, cost = np.zeros(network.n_classes + 1), np.zeros(len(places))
+        for t in np.flatnonzero(np.diff(dates.p_indptr)).tolist():
+            value = kernels.best_sequence(t, cost, per_visit, per_whole, dates, work, picked)[0]
+            by_class[network.rank_of_target[t]] += value
+        return np.cumsum(by_class)[self.levels]
+
+    def _bound(self, level: int, per_visit: float, per_whole: float, value: int, rules: list, limit: float) -> float:
+        """Return an upper bound of the sum of the values of all targets of a level, by adjusting prices.
+
+        Parameters
+        ----------
+        level : int
+            Index of the level.
+        per_visit, per_whole : float
+            Value of a visit and of a complete cadence.
+        value : int
+            Value of the present plan.
+        rules : list
+            Candidates, cliques and smallest number of each requirement (`_minima`).
+        limit : float
+            Fraction of the time limit after which the adjustment ends.
+        """
+        network, links, n = self.network, self._links, self.network.n_cliques
+        active = (network.rank_of_target <= self.levels[level]).astype(float)
+        price, arm_price = np.zeros(n), np.zeros(len(network.start) - 1)
+        best, step, late = np.inf, 1.0, 0
+        given = per_visit * active, per_whole * active, links, self._dates, self._work, self._picked, self._cost
+        for _ in range(N_STEPS):
+            usage, arm_usage = np.zeros(n), np.zeros(len(arm_price))
+            total = kernels.use_prices(price, arm_price, *given, usage, arm_usage) + price.sum() + arm_price.sum()
+            for members, cliques, number in rules:
+                # every plan uses at least this number of these candidates, and pays at least the cheapest ones
+                costs = arm_price[network.positioner[members]] + cliques.T @ price
+                order = np.argsort(costs, kind="stable")
+                order = order[np.sort(np.unique(network.positioner[members][order], return_index=True)[1])][:number]
+                total -= costs[order].sum()
+                arm_usage[network.positioner[members][order]] += 1.0
+                usage += cliques[:, order].sum(axis=1)
+            late = 0 if total < best else late + 1
+            best = min(best, total)
+            if late >= LATE:
+                step, late = step / 2, 0
+            if best < value + 1 or self.out_of_time(limit):
+                break
+            more, arm_more = usage - 1.0, arm_usage - 1.0
+            # prices are not negative, so that a price of 0 cannot decrease
+            more[(price == 0) & (more < 0)] = arm_more[(arm_price == 0) & (arm_more < 0)] = 0.0
+            norm = more @ more + arm_more @ arm_more
+            if norm == 0:
+                break
+            # Polyak's step: the value of the present plan stands for the unknown smallest bound
+            size = step * (total - value) / norm
+            price, arm_price = np.maximum(price + size * more, 0.0), np.maximum(arm_price + size * arm_more, 0.0)
+        return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + arm_price.sum())))
+
+
+def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
+    """Return the cadences and times for the kernels, the place of each candidate, and the time rank of each tile.
+
+    The place is -1 for candidates without a place.
+    """
+    cadences, row = request.cadences
+    in_time = np.argsort(request.days, kind="stable")
+    time_of = np.empty_like(in_time)
+    time_of[in_time] = np.arange(len(in_time))
+    n_tiles, n_targets = len(in_time), len(network.slot)
+    epochs = cadences.epochs
+    low, high, n_exp, limit = np.concatenate(epochs, axis=1)
+    real = np.flatnonzero(network.rank < network.n_classes)
+    tile = np.repeat(time_of, np.diff(network.first))[network.positioner[real]]
+    key = network.target[real].astype(np.int64) * n_tiles + tile
+    order = np.argsort(key, kind="stable")
+    places, place = np.unique(key, return_inverse=True)
+    place_of = np.full(len(network.target), -1)
+    place_of[real] = place
+    cadence_of_target = request.source.to_slots(row)
+    # standards, sky positions, and copies of targets that are used only in these roles have no cadence
+    counted = network.rank_of_target < network.n_classes
+    cadence = np.full(n_targets, -1)
+    cadence[counted] = cadence_of_target[network.slot[counted]]
+    cliques = network.matrix[: network.n_cliques]
+    first_epoch = np.cumsum([0, *(epochs_of_cadence.shape[1] for epochs_of_cadence in epochs)])
+    of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
+    of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
+    of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
+    of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
+    of_tiles = request.days[in_time], request.brightness[in_time], NIGHT
+    cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
+    return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
+
+
+def _starts(index: np.ndarray, n: int) -> np.ndarray:
+    """Return where the rows 0 to n begin in a sorted array of row numbers."""
+    return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
+
+
+def _work_for(dates: kernels.Dates) -> tuple[kernels.Work, np.ndarray]:
+    """Return the arrays that `best_sequence` uses."""
+    m = int(np.diff(dates.p_indptr).max(initial=1))
+    shape = int(np.diff(dates.e_indptr).max(initial=1)), m, m
+    work = kernels.Work(np.empty(shape), np.empty(shape, dtype=np.int64), np.empty(m, dtype=bool))
+    return work, np.empty(m, dtype=bool)

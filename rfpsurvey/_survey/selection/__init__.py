@@ -1,0 +1,1 @@
+"""Probabilities that a survey observes its targets."""

@@ -1,0 +1,1 @@
+"""Positions of the tiles of a survey."""

@@ -1,0 +1,19 @@
+"""Static collisions: the poses of arms, and the pairs of arms that are closer than the minimum separation."""
+
+from rfpsurvey._instruments.arms import place_arms
+from rfpsurvey._instruments.collision_methods import METHODS
+from rfpsurvey._instruments.count_collisions import CollisionCounts, count_collisions
+from rfpsurvey._instruments.find_collisions import CollisionReport, find_collisions
+from rfpsurvey._instruments.motion import LAWS, MotionReport, find_motion
+
+__all__ = [
+    "LAWS",
+    "METHODS",
+    "CollisionCounts",
+    "CollisionReport",
+    "MotionReport",
+    "count_collisions",
+    "find_collisions",
+    "find_motion",
+    "place_arms",
+]

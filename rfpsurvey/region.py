@@ -1,0 +1,5 @@
+"""Regions of the sky."""
+
+from rfpsurvey._sky.region import Region
+
+__all__ = ["Region"]

@@ -1,1 +1,0 @@
-"""Joint plans: all tiles of a survey are planned together."""
