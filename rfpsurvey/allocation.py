@@ -2,10 +2,11 @@
 
 from rfpsurvey._assignment.allocate import allocate
 from rfpsurvey._assignment.allocation import IDLE_REASONS, Allocation, IdleReasons, find_idle_reasons
+from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.clock import end_on_interrupt
 from rfpsurvey._assignment.methods import METHODS
 from rfpsurvey._assignment.options import AllocationOptions
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import subpriorities
 
 __all__ = [

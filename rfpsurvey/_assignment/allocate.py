@@ -10,6 +10,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._assignment.allocation import Allocation
+from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import from_allocation, from_tile, is_plan, with_changes, with_sky
 from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.constraints.requirement import check_counts
@@ -17,7 +18,7 @@ from rfpsurvey._assignment.distribution import Motion
 from rfpsurvey._assignment.methods import DEFAULT_ALLOCATOR
 from rfpsurvey._assignment.options import AllocationOptions, as_options
 from rfpsurvey._assignment.plugin import find_allocator, warn_of_unused_options
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import check_one_each, check_values, service_order, tie_order, to_subpriorities
 from rfpsurvey._common.units import to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey._instruments.arms import check_plane

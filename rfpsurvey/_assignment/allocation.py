@@ -7,6 +7,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._assignment.answer import SUBPRIORITIES, Level
 from rfpsurvey._assignment.before_and_after import place_segments
 from rfpsurvey._assignment.candidates import find_conflicts, list_candidates, obstacle_hits
 from rfpsurvey._assignment.constraints.counts import Shortfall
@@ -14,7 +15,7 @@ from rfpsurvey._assignment.constraints.field import Verdict
 from rfpsurvey._assignment.constraints.motion import Motion as MotionConstraint
 from rfpsurvey._assignment.distribution import Motion
 from rfpsurvey._assignment.options import AllocationOptions
-from rfpsurvey._assignment.problem import SUBPRIORITIES, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._instruments.arms import Arms, place_arms
 from rfpsurvey._instruments.focal_plane import FocalPlane

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem
+from rfpsurvey._assignment.answer import AllocationAnswer
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._instruments.find_collisions import obstacle_tests, touching
 from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._kernels import allocation as kernels

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
 
+from rfpsurvey._assignment.answer import AllocationAnswer
 from rfpsurvey._assignment.candidates import Candidates
 from rfpsurvey._assignment.clock import OutOfTimeError, left, now, share
 from rfpsurvey._assignment.clusters import program_of
@@ -20,7 +21,7 @@ from rfpsurvey._assignment.local_search import (
     trim,
 )
 from rfpsurvey._assignment.objectives import DIGITS, is_sum_maximized, levels_of, offset_of, with_subpriorities
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import plan_lamost_rule
 from rfpsurvey._assignment.solver import maximize
 from rfpsurvey._instruments.reach import elbow_names

@@ -6,13 +6,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from rfpsurvey._assignment import rules as _rules
+from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import is_plan
 from rfpsurvey._assignment.clock import searching
 from rfpsurvey._assignment.constraints.constraint import AS_GOAL, EXACTLY, ONLY_CHECKED, Abilities
 from rfpsurvey._assignment.distribution import lost_to_rules
 from rfpsurvey._assignment.local_search import match, movable_candidates, pick, repair_nearby, trim
 from rfpsurvey._assignment.objectives import with_subpriorities
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._common.descriptions import Method, table_of
 from rfpsurvey._instruments.reach import elbow_names
 from rfpsurvey.errors import check_choice, check_switch

@@ -4,10 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 
+from rfpsurvey._assignment.answer import SUBPRIORITIES, Level
 from rfpsurvey._assignment.before_and_after import changes_of, is_plan
 from rfpsurvey._assignment.candidates import Candidates
 from rfpsurvey._assignment.local_search import match
-from rfpsurvey._assignment.problem import SUBPRIORITIES, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 
 # Decimal digits of costs, which are differences of subpriorities in units of the range of all subpriorities.
 DIGITS = 6

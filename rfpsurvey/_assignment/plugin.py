@@ -6,6 +6,7 @@ from functools import partial
 
 import numpy as np
 
+from rfpsurvey._assignment.answer import SUBPRIORITIES, AllocationAnswer
 from rfpsurvey._assignment.before_and_after import is_plan
 from rfpsurvey._assignment.constraints.constraint import ONLY_CHECKED
 from rfpsurvey._assignment.constraints.counts import hint_of_name
@@ -13,7 +14,7 @@ from rfpsurvey._assignment.constraints.rule import Rule
 from rfpsurvey._assignment.constraints.text import named_plugins
 from rfpsurvey._assignment.methods import METHODS, OPTIONS, Allocator
 from rfpsurvey._assignment.objectives import sum_of_subpriorities
-from rfpsurvey._assignment.problem import SUBPRIORITIES, AllocationAnswer, AllocationProblem, with_watched
+from rfpsurvey._assignment.problem import AllocationProblem, with_watched
 from rfpsurvey._common.plugins import Plugin, find_function, find_plugin
 from rfpsurvey._common.units import is_seed_given, to_plain
 from rfpsurvey._instruments.focal_plane import FocalPlane

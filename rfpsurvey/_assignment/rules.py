@@ -5,7 +5,8 @@ from functools import cached_property
 
 import numpy as np
 
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, with_watched
+from rfpsurvey._assignment.answer import AllocationAnswer
+from rfpsurvey._assignment.problem import AllocationProblem, with_watched
 from rfpsurvey._common.units import rows_of, to_plain
 from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._kernels import allocation as kernels

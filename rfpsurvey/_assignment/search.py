@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import best_pairs
 from rfpsurvey._assignment.candidates import Candidates, find_candidates, reduced
 from rfpsurvey._assignment.clock import OutOfTimeError, left, now, seconds_until, share
@@ -32,7 +33,7 @@ from rfpsurvey._assignment.objectives import (
     with_cost,
     with_used_classes,
 )
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import TIE_SEED, plan_lamost_rule
 from rfpsurvey._kernels import conflicts
 

@@ -6,6 +6,7 @@ from functools import partial
 import numpy as np
 
 from rfpsurvey._assignment import search as _search
+from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.candidates import Candidates
 from rfpsurvey._assignment.clock import OutOfTimeError, left, share
 from rfpsurvey._assignment.clusters import improve_by_clusters, improve_members, program_of, upper_of_part
@@ -20,7 +21,7 @@ from rfpsurvey._assignment.objectives import (
     with_cost,
     with_used_classes,
 )
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem, Level
+from rfpsurvey._assignment.problem import AllocationProblem
 
 # Fractions of the remaining time: for the problem without the rules, for the plan with the same science targets, for
 # clusters before the integer program of all positioners, and for this program.

@@ -7,11 +7,12 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import csr_array, hstack
 
+from rfpsurvey._assignment.answer import AllocationAnswer
 from rfpsurvey._assignment.candidates import Candidates, find_candidates
 from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.clusters import ROUNDING, Prices
 from rfpsurvey._assignment.distribution import pairs_within
-from rfpsurvey._assignment.problem import AllocationAnswer, AllocationProblem
+from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.solver import choose_one_each
 from rfpsurvey._instruments.reach import elbow_names
 from rfpsurvey._kernels.paths import TOLERANCE

@@ -12,18 +12,9 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._common import io as _io
+from rfpsurvey._common import units as _units
 from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._common.read_tables import lacks_units
-from rfpsurvey._common.units import (
-    rows_of,
-    to_center,
-    to_direction,
-    to_labels,
-    to_numbers,
-    to_plain,
-    to_scalar,
-    to_visits,
-)
 from rfpsurvey._sky import tables as _tables
 from rfpsurvey._sky.arrays import CatalogArrays, extra_columns, to_kinds
 from rfpsurvey._sky.example_files import path_and_name, read_table
@@ -112,27 +103,29 @@ class Catalog:
     def __post_init__(self):
         coord = SkyCoord(self.coord) if isinstance(self.coord, BaseCoordinateFrame) else self.coord
         epoch = getattr(coord, "obstime", None) if self.epoch is None else to_time(self.epoch, "epoch", gaps=True)
-        coord = to_direction(coord, "coord")
+        coord = _units.to_direction(coord, "coord")
         coord = coord.reshape(1) if coord.isscalar else coord
         if coord.ndim != 1:
             raise InputError(f"coord must have the shape (n,), got {coord.shape}")
         n = len(coord)
-        columns = {"id": np.arange(n) if self.id is None else to_labels(self.id, "id")}
+        columns = {"id": np.arange(n) if self.id is None else _units.to_labels(self.id, "id")}
         for name in _PER_TARGET[1:]:
             value = getattr(self, name)
             if value is not None and name in TEXTS:
-                columns[name] = to_kinds(value, name) if name == "kind" else to_plain(value, name).astype(str)
+                columns[name] = to_kinds(value, name) if name == "kind" else _units.to_plain(value, name).astype(str)
             elif value is not None:
-                columns[name] = to_numbers(value, name, unitless=name == "visits")
+                columns[name] = _units.to_numbers(value, name, unitless=name == "visits")
         extra = extra_columns(self.extra, n)
         for name, value in columns.items():
             if value.shape != (n,):
                 raise InputError(f"{name} must have one value per target, shape ({n},), got {value.shape}")
         for name in {"priority", "subpriority"} & set(columns):
             if (lacking := ~np.isfinite(columns[name])).any():
-                raise InputError(f"{name} must be a finite number for every target, but {rows_of(lacking)} have none")
+                raise InputError(
+                    f"{name} must be a finite number for every target, but {_units.rows_of(lacking)} have none"
+                )
         if "visits" in columns:
-            columns["visits"] = to_visits(columns["visits"], n)
+            columns["visits"] = _units.to_visits(columns["visits"], n)
         if epoch is not None and epoch.shape not in ((), (n,)):
             raise InputError(f"epoch must be one time or have the shape ({n},), got {epoch.shape}")
         epoch = None if epoch is None else known_epochs(epoch, moving(coord))
@@ -402,5 +395,5 @@ class Catalog:
         InputError
             If ``center`` is not a single direction, or if ``radius`` is not a single angle of at least 0.
         """
-        radius_rad = to_scalar(radius, u.rad, "radius", low=0, closed=True)
-        return self._take(self.arrays.rows_within(to_center(center), radius_rad))
+        radius_rad = _units.to_scalar(radius, u.rad, "radius", low=0, closed=True)
+        return self._take(self.arrays.rows_within(_units.to_center(center), radius_rad))

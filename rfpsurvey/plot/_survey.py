@@ -176,7 +176,7 @@ PIECES = {
     "n_impossible": ("out of reach or excluded", {"color": "white", "edgecolor": "0.5"}),
 }
 """Label and style of each part of the bars."""
-MOST_ROWS, MOST_CLASSES = 16, 6
+MOST_ROWS, MOST_CLASSES, MOST_CATEGORIES, MOST_PASSES = 16, 6, 8, 5
 
 
 def plot_survey_status(status: QTable, *, axes: "np.ndarray | None" = None, **kwargs: object) -> np.ndarray:
@@ -262,8 +262,6 @@ def _draw_classes(ax: Axes, status: QTable, kwargs: dict) -> None:
     stacked_bars(ax, y, rows, wanted, observed, pieces, kwargs, label=label, left_out=left_out)
 
 
-MOST_CLASS_ROWS, MOST_CATEGORIES, MOST_PASSES = 16, 8, 5
-"""Largest numbers of bars for classes, of bars for categories, and of passes with separate colors."""
 MOST_DOTS = 3000
 KINDS = {"science": "science", "standard": "standard stars", "sky": "sky"}
 
@@ -283,7 +281,7 @@ def draw_survey_quality(survey: Survey, axes: tuple, kwargs: dict) -> None:
 
 def class_rows(survey: Survey) -> QTable:
     """Return the rows of the completeness table that are drawn as bars, with the completeness after the last pass."""
-    return _after(survey, -1)[:MOST_CLASS_ROWS]
+    return _after(survey, -1)[:MOST_ROWS]
 
 
 def _after(survey, k) -> QTable:
@@ -309,7 +307,7 @@ def _draw_visits(ax, survey, kwargs):
     colors = [ARM] if len(ends) == 1 else light_scale()(np.linspace(0.0, 0.85, len(ends)))
     pieces, before = [], np.zeros(len(rows))
     for k, (end, color) in enumerate(zip(ends, colors, strict=True)):
-        after = np.asarray(_after(survey, end)["n_observed"][:MOST_CLASS_ROWS], float)
+        after = np.asarray(_after(survey, end)["n_observed"][:MOST_ROWS], float)
         several = k > 0 and end > ends[k - 1] + 1
         words = f"in passes {passes[ends[k - 1] + 1]} to {passes[end]}" if several else f"in pass {passes[end]}"
         words = "observed" if len(ends) == 1 else words
@@ -366,7 +364,7 @@ def _draw_fibers(ax, survey):
     n_unused = np.maximum(n_fibers - np.bincount(place, weights=np.asarray(tiles["n_assigned"], float)), 0)
     look = {"color": FADED, "alpha": 0.5, "label": f"without a target: {n_unused.sum():.0f}"}
     handles.append(ax.bar(np.arange(len(passes)), n_unused, 0.75, bottom, **look))
-    step = -(-len(passes) // MOST_CLASS_ROWS)
+    step = -(-len(passes) // MOST_ROWS)
     ax.set_xticks(np.arange(len(passes))[::step], [str(p) for p in passes[::step]], fontsize="small")
     around = 0.6 + max(4 - len(passes), 0) / 2
     ax.set(xlim=(-around, len(passes) - 1 + around), xlabel="pass", ylabel="fibers, all tiles of the pass")

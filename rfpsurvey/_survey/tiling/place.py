@@ -24,15 +24,8 @@ from rfpsurvey._sky.frames import is_table
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._sky.region import Region
 from rfpsurvey._sky.time import choose_epoch
-from rfpsurvey._survey.tiling.centers import (
-    Centers,
-    Declinations,
-    Fibers,
-    FocalPlaneFibers,
-    FreeFibers,
-    given_tiles,
-    neighbors_within,
-)
+from rfpsurvey._survey.tiling import centers as _centers
+from rfpsurvey._survey.tiling.centers import Centers, Declinations, Fibers, given_tiles
 from rfpsurvey._survey.tiling.columns import COLUMNS, times_of_tiles
 from rfpsurvey._survey.tiling.cover import RegionCover, cover_targets, hexagonal, in_any, spiral
 from rfpsurvey._survey.tiling.greedy import density_gradient, max_density, mean_shift
@@ -269,10 +262,10 @@ def place_tiles(
     neighbors = _neighbors(fibers, index, allocator)
     if by_positioners:
         tiles = given_tiles(where) if chosen.needs_tiles else where.angle_deg
-        serve = FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
+        serve = _centers.FocalPlaneFibers(model, builder, fibers, tiles, seed, reference)
         reach = serve.radius_rad + serve.margin_rad
     else:
-        serve, reach = FreeFibers(number, priority, neighbors), radius_rad
+        serve, reach = _centers.FreeFibers(number, priority, neighbors), radius_rad
         if is_seed_given(rng):
             warn_no_effect("rng", "without the positioners of an allocator")
     goal = n_tiles or completeness or 1.0
@@ -331,7 +324,7 @@ def _neighbors(fibers: Fibers, index: SkyIndex, allocator):
         return None
     if allocator is not None:
         raise InputError("min_separation must not be given with an allocator, whose positioners set the separation")
-    return neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
+    return _centers.neighbors_within(index.vectors, float(fibers.min_separation.to_value(u.rad)))
 
 
 def _regions(exclude) -> tuple[Region, ...]:
