@@ -2,6 +2,7 @@ import gc
 import os
 import signal
 import sys
+import zlib
 from pathlib import Path
 
 import astropy.units as u
@@ -37,7 +38,8 @@ def _parameters_of(test):
 def pytest_collection_modifyitems(items):
     """Mark all but ``n`` tests of a function with the marker ``few(n)`` as exhaustive.
 
-    The ``n`` tests have as many different values of each parameter as possible.
+    The ``n`` tests have as many different values of each parameter as possible. If the environment variable
+    ``RFPSURVEY_PART`` is ``k/n``, only the k-th of n parts of the exhaustive tests is kept.
     """
     functions = {}
     for item in items:
@@ -52,6 +54,13 @@ def pytest_collection_modifyitems(items):
             tests.remove(test)
         for test in tests:
             test.add_marker("exhaustive")
+    part, _, n_parts = os.environ.get("RFPSURVEY_PART", "0/1").partition("/")
+    items[:] = [
+        item
+        for item in items
+        if item.get_closest_marker("exhaustive") is None
+        or zlib.crc32(f"{item.path.name} {item.name.partition('[')[0]}".encode()) % int(n_parts) == int(part) % int(n_parts)
+    ]
 
 
 def pytest_collection_finish():
