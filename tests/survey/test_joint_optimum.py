@@ -37,7 +37,7 @@ def program_of(instrument, tiles, catalog, options, needs, counts):
     several = has_role(catalog.kind, "science") & (catalog.kind != "science") & (catalog.visits > 0)
     rows = np.flatnonzero(several)
     both = catalog[np.append(np.arange(len(catalog)), rows)]
-    kind = np.append(catalog.kind, np.char.replace(catalog.kind[rows], "science+", ""))
+    kind = np.append(catalog.kind, [name.replace("science+", "") for name in catalog.kind[rows]])
     program = JointProgram(
         instrument, tiles, replace(both, kind=kind, id=np.arange(len(both))), options.parked_obstacles
     )
