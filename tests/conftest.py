@@ -55,12 +55,12 @@ def pytest_collection_modifyitems(items):
         for test in tests:
             test.add_marker("exhaustive")
     part, _, n_parts = os.environ.get("RFPSURVEY_PART", "0/1").partition("/")
-    items[:] = [
-        item
-        for item in items
-        if item.get_closest_marker("exhaustive") is None
-        or zlib.crc32(f"{item.path.name} {item.name.partition('[')[0]}".encode()) % int(n_parts) == int(part) % int(n_parts)
-    ]
+
+    def is_kept(item):
+        function = f"{item.path.name} {item.name.partition('[')[0]}".encode()
+        return item.get_closest_marker("exhaustive") is None or (zlib.crc32(function) - int(part)) % int(n_parts) == 0
+
+    items[:] = filter(is_kept, items)
 
 
 def pytest_collection_finish():

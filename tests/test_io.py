@@ -16,6 +16,7 @@ import rfpsurvey as rs
 from processes import lock_and_wait
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.folder import RequestFolder, check_file, locked, read_index, read_verified
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey.errors import InputError
 
 N_THREADS, N_WRITES = 6, 60
@@ -32,7 +33,7 @@ def test_threads_that_write_to_one_path_leave_one_whole_file(tmp_path, name):
     path = tmp_path / name
     with ThreadPoolExecutor(N_THREADS) as pool:
         list(pool.map(lambda k: _io.write_table(table(k), path, overwrite=True), range(N_WRITES)))
-    found = _io.read_table(path)
+    found = read_table(path)
     assert found.meta["k"] in range(N_WRITES)
     assert (found["a"] == found.meta["k"]).all()
     assert os.listdir(tmp_path) == [name]
@@ -58,7 +59,7 @@ def test_of_threads_that_must_not_overwrite_one_writes(tmp_path, monkeypatch, ha
     with ThreadPoolExecutor(N_THREADS) as pool:
         said = list(pool.map(write, range(N_WRITES)))
     (winner,) = (one for one in said if isinstance(one, int))
-    assert _io.read_table(tmp_path / "tile.fits").meta["k"] == winner
+    assert read_table(tmp_path / "tile.fits").meta["k"] == winner
     assert all("exists; to replace it, use overwrite=True" in one for one in said if one != winner)
 
 

@@ -24,9 +24,9 @@ from astropy.units import Unit
 
 from rfpsurvey._common.outputs import WRITABLE, check_new_folder, check_output, check_texts
 from rfpsurvey._common.read_documents import sentence
-from rfpsurvey._common.read_fits import META_KEY, read_fits_bytes
+from rfpsurvey._common.read_fits import META_KEY
 from rfpsurvey._common.read_parquet import is_known
-from rfpsurvey._common.read_tables import is_fits, read_table, to_path
+from rfpsurvey._common.read_tables import is_fits, to_path
 from rfpsurvey._common.temporary import temporary
 from rfpsurvey.errors import InputError, listed
 

@@ -13,6 +13,7 @@ from astropy.time import Time
 from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import COPIED, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, plot, show, to_html
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import write_plan
 from rfpsurvey._field.table import TableOfTile, TargetsOfField, completeness_table, id_column, without_masks
 from rfpsurvey._field.verdicts import OUTCOMES
@@ -222,7 +223,7 @@ class Tile:
         InputError
             If the file does not exist or does not contain a tile.
         """
-        table = _io.read_table(path)
+        table = read_table(path)
         try:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
@@ -234,7 +235,7 @@ class Tile:
             raise InputError(f"{path} does not hold a tile: {error}") from None
         if not tile.provenance.get("outcomes") or not _io.is_fits(_io.to_path(path)):
             return tile
-        return cls(tile.table, describe(without_masks(_io.read_table(path, hdu=2)), OUTCOMES_COLUMNS, COPIED))
+        return cls(tile.table, describe(without_masks(read_table(path, hdu=2)), OUTCOMES_COLUMNS, COPIED))
 
     def write(
         self,

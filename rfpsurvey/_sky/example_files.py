@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._common import io as _io
+from rfpsurvey._common import read_tables
 from rfpsurvey.errors import InputError, check_choice
 
 
@@ -69,7 +69,9 @@ def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
 def read_table(path: Path, hdu: int | str | None = None) -> QTable:
     """Read the table of a catalog from a file, which may be a compressed example catalog (``.packed``)."""
     if path.suffix != ".packed":
-        return _io.read_table(path, hdu, "; to read another table, give hdu= or --set catalog.hdu=NAME", padded=False)
+        return read_tables.read_table(
+            path, hdu, "; to read another table, give hdu= or --set catalog.hdu=NAME", padded=False
+        )
     if hdu is not None:
         raise InputError(f"hdu must be used only with FITS files, got {hdu!r} for an example catalog")
     return QTable.read(unpack(path.read_bytes()).splitlines(), format="ascii.ecsv")

@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import Table
 from astropy.time import Time
 
-from rfpsurvey._common import io as _io
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import as_table
@@ -74,7 +74,7 @@ class Cadences:
 
     def __post_init__(self):
         given = self.table
-        table = _io.read_table(given) if isinstance(given, str | os.PathLike) else as_table(given)[0]
+        table = read_table(given) if isinstance(given, str | os.PathLike) else as_table(given)[0]
         lower = {SYNONYMS.get(name.lower(), name.lower()): name for name in reversed(table.colnames)}
         if lacking := [name for name in ("cadence", *COLUMNS[:3]) if name not in lower]:
             raise InputError(f"a table of cadences must have the column {lacking[0]}, got {listed(table.colnames)}")

@@ -18,6 +18,7 @@ from astropy.time import Time
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.folder import LOCK, WAIT, locked, read_index, remove_temporary
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import native_format, read_plan
 from rfpsurvey._sky.frames import as_table
 from rfpsurvey._survey.folder import TABLES, clock, read_request
@@ -89,7 +90,7 @@ def record(
     if is_path and native_format(_io.to_path(table)) is not None:
         table = _visits_of_configuration(table, survey, tile)
     else:
-        table = _io.read_table(table) if is_path else as_table(table)[0]
+        table = read_table(table) if is_path else as_table(table)[0]
     table = renamed(table, columns or {})
     roles = roles_of(table)
     named = columns_of_catalog(table, survey.provenance["catalog"].get("columns", ""))

@@ -8,8 +8,8 @@ from functools import cached_property
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._common import io as _io
 from rfpsurvey._common.plugins import find_function, name_of, recorded_name
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.settings import Settings, option
 from rfpsurvey._common.units import MOST_VISITS, exact_text, to_dimensionless, to_numbers, to_plain, to_visits
 from rfpsurvey.errors import InputError, check_choice, check_keywords, listed
@@ -139,7 +139,7 @@ class VisitRule(Settings):
     @cached_property
     def _rows(self) -> list[tuple]:
         """The rows of the table: class, number of visits, last result, priority and requested visits."""
-        table = self.table if isinstance(self.table, Table) else _io.read_table(self.table)
+        table = self.table if isinstance(self.table, Table) else read_table(self.table)
         strange = [name for name in table.colnames if name not in COLUMNS]
         if strange or not {"priority", "visits"} & {*table.colnames}:
             raise InputError(

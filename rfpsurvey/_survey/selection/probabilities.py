@@ -11,6 +11,7 @@ from astropy.table import QTable
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import TARGET_ID, Column, Fact, describe, facts_of, table_of, to_html
 from rfpsurvey._common.folder import check_file, read_index
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_visits
 from rfpsurvey.errors import InputError, check_whole, number_of, short
 
@@ -311,13 +312,13 @@ class SelectionProbabilities:
         known = read_index(path.parent)
         if path.is_file() and (in_folder or path.name in known):
             check_file(path.parent, path.name, known)
-        table = _io.read_table(path)
+        table = read_table(path)
         meta = table.meta
         lacking = [name for name in COLUMNS if name not in table.colnames]
         if lacking or not all(isinstance(meta.get(name), dict) for name in ("summary", "provenance")):
             what = f"a table without {', '.join(lacking)}" if lacking else "a table without provenance"
             raise InputError(f"{path} must contain selection probabilities, got {what}")
-        realizations = _io.read_table(path, hdu=2)
+        realizations = read_table(path, hdu=2)
         kinds = {name: np.asarray(table[name]).dtype.kind for name in ("BITWEIGHTS", "n_tiles")}
         if set(kinds.values()) - {*"iu"} or np.asarray(table["n_tiles"]).min(initial=0) < 0:
             raise InputError(f"{path} must store integers in BITWEIGHTS, and integers of at least 0 in n_tiles")

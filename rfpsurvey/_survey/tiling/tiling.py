@@ -11,7 +11,7 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_tables import lacks_units
+from rfpsurvey._common.read_tables import lacks_units, read_table
 from rfpsurvey._common.units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky.arrays import SkyIndex
@@ -251,7 +251,7 @@ class Tiling:
             If the file does not exist, or is not a list of tiles.
         """
         path = _io.to_path(path)
-        table = _io.read_table(path, hdu, "; to read another table, give hdu= or --set tiles.hdu=NAME")
+        table = read_table(path, hdu, "; to read another table, give hdu= or --set tiles.hdu=NAME")
         table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
         try:
             return cls._from_table(table, columns, units, select, assume_units=lacks_units(path))
