@@ -55,7 +55,7 @@ def is_example(path: object) -> bool:
 def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
     """Return the path of a file or of an example catalog, and the name that results record in their provenance."""
     if not is_example(path):
-        path = _io.to_path(path)
+        path = read_tables.to_path(path)
         return path, path.name
     name = os.fspath(path)
     file = EXAMPLES[check_choice(name.removeprefix(PREFIX), EXAMPLES, "example catalog")]
