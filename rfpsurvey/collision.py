@@ -3,8 +3,8 @@
 from rfpsurvey._instruments.arms import place_arms
 from rfpsurvey._instruments.collision_methods import METHODS
 from rfpsurvey._instruments.count_collisions import CollisionCounts, count_collisions
-from rfpsurvey._instruments.find_collisions import CollisionReport, find_collisions
-from rfpsurvey._instruments.motion import LAWS, MotionReport, find_motion
+from rfpsurvey._instruments.find_collisions import find_collisions
+from rfpsurvey._instruments.motion import LAWS, CollisionReport, MotionReport, find_motion
 
 __all__ = [
     "LAWS",

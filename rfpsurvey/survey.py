@@ -2,12 +2,13 @@
 
 from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.columns import survey_facts
+from rfpsurvey._survey.continue_survey import continue_survey
 from rfpsurvey._survey.history.diff import diff_surveys
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.status import survey_status
 from rfpsurvey._survey.joint.fixed import JointOptions
-from rfpsurvey._survey.plan import continue_survey, plan_survey
+from rfpsurvey._survey.plan import plan_survey
 from rfpsurvey._survey.stored import verify_survey
 from rfpsurvey._survey.survey import Survey
 

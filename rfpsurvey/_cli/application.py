@@ -15,35 +15,9 @@ from textwrap import indent
 from typing import Annotated
 
 import typer
-from numba.core import event
 from typer.core import TyperCommand, TyperGroup
 
 import rfpsurvey as rs
-
-
-class _Announcement(event.Listener):
-    """Event handler that prints one line when numba compiles the first function that is not in the cache of numba."""
-
-    def __init__(self):
-        self._told = False
-
-    def on_start(self, event: event.Event) -> None:
-        if not self._told:
-            self._told = True
-            print(
-                "rfpsurvey: compiling functions for this machine; this happens only once and takes a few seconds",
-                file=sys.stderr,
-            )
-
-    def on_end(self, event: event.Event) -> None:
-        pass
-
-
-def announce_compilation() -> None:
-    """Prepare a message that is printed when numba compiles a function, but only if standard error is a terminal."""
-    if sys.stderr.isatty():
-        event.register("numba:compile", _Announcement())
-
 
 # The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
@@ -108,6 +82,8 @@ class Commands(TyperGroup):
         gc.set_threshold(50_000, 20, 1000)
         gc.disable()
         try:
+            from rfpsurvey._cli.compiling import announce_compilation  # imports numba
+
             import_module(f"rfpsurvey._cli.{MODULES.get(name, name)}")
             if name not in self.commands:
                 self.commands[name] = typer.main.get_command(app).commands[name]

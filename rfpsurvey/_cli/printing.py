@@ -13,7 +13,7 @@ from rfpsurvey._common.io import write_table, writing_to
 from rfpsurvey._common.read_tables import is_fits, suffix_of
 from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
 from rfpsurvey.errors import brief
-from rfpsurvey.report._blocks import estimate_facts, model_facts, tiling_facts
+from rfpsurvey.report import estimate_facts, model_facts, tiling_facts
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12

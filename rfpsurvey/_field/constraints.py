@@ -15,9 +15,9 @@ from rfpsurvey._assignment.constraints.text import answer
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._instruments.arms import Arms, place_arms
-from rfpsurvey._instruments.find_collisions import CollisionReport
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.margins import with_circles
+from rfpsurvey._instruments.motion import CollisionReport
 from rfpsurvey._sky.arrays import JOINED, KINDS, without_role
 from rfpsurvey._sky.projection import FieldProjection
 from rfpsurvey.errors import InputError, InputTypeError, refusal, short

@@ -17,10 +17,10 @@ from rfpsurvey._assignment.rules import service_order, tie_order, to_subprioriti
 from rfpsurvey._common.units import to_lonlat, values_at
 from rfpsurvey._field.constraints import Applied, apply_constraints, project_field
 from rfpsurvey._instruments.arms import Arms
-from rfpsurvey._instruments.find_collisions import CollisionReport, collisions_of
+from rfpsurvey._instruments.find_collisions import collisions_of
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
-from rfpsurvey._instruments.motion import find_motion
+from rfpsurvey._instruments.motion import CollisionReport, find_motion
 from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.projection import FieldProjection

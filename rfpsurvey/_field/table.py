@@ -21,9 +21,9 @@ from rfpsurvey._common.units import to_lonlat
 from rfpsurvey._field.plan import FieldPlan
 from rfpsurvey._field.verdicts import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
 from rfpsurvey._instruments.arms import Arms, nearest_distance
-from rfpsurvey._instruments.find_collisions import CollisionReport
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._instruments.motion import CollisionReport
 from rfpsurvey._sky.arrays import KINDS, has_role
 from rfpsurvey._sky.catalog import Catalog
 

@@ -15,9 +15,9 @@ from rfpsurvey._field.constraints import Applied, apply_constraints
 from rfpsurvey._field.plan import FieldTargets
 from rfpsurvey._field.plan_files import further_columns
 from rfpsurvey._instruments.arms import Arms
-from rfpsurvey._instruments.find_collisions import CollisionReport
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._instruments.motion import CollisionReport
 from rfpsurvey._sky.arrays import KINDS, count_also_science, to_kinds
 from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.projection import FieldProjection

@@ -8,7 +8,7 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._common.units import to_plain, to_points_mm, to_radian
-from rfpsurvey._instruments.positioner import within_limits
+from rfpsurvey._instruments.numbers import within_limits
 from rfpsurvey._kernels import arms
 from rfpsurvey._kernels.arms import EQUAL_ARMS
 from rfpsurvey.errors import InputError, check_choice, check_fiber_type

@@ -73,8 +73,8 @@ class Living:
             If a tile, positioner or target is unknown, if the plan with which a tile was observed is not clear, if a
             value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
         """
+        from rfpsurvey._survey.continue_survey import groups_in
         from rfpsurvey._survey.history.record import record
-        from rfpsurvey._survey.plan import groups_in
 
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
         groups = partial(groups_in, self.folder)
@@ -190,7 +190,7 @@ class Living:
         InputError
             As `rfpsurvey.survey.continue_survey`.
         """
-        from rfpsurvey._survey.plan import continue_survey
+        from rfpsurvey._survey.continue_survey import continue_survey
 
         return continue_survey(self.folder, executor=executor, progress=progress, **changes)
 

@@ -10,9 +10,9 @@ from matplotlib.patches import Patch
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._instruments.count_collisions import CollisionCounts
-from rfpsurvey._instruments.find_collisions import CollisionReport
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument, as_focal_plane
+from rfpsurvey._instruments.motion import CollisionReport
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey.errors import InputError, check_whole, number_of
 from rfpsurvey.plot._axes import (

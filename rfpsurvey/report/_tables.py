@@ -13,8 +13,7 @@ from rfpsurvey._studies.losses import SURROGATE_ERROR
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._studies.surrogate import AXES, surrogate_spline
 from rfpsurvey.errors import number_of
-from rfpsurvey.plot._comparisons import draw_instruments, plot_allocators
-from rfpsurvey.plot._designs import plot_designs
+from rfpsurvey.plot import draw_instruments, plot_allocators, plot_designs
 from rfpsurvey.report._blocks import (
     Facts,
     Page,

@@ -14,8 +14,7 @@ from rfpsurvey._assignment.methods import METHODS
 from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
 from rfpsurvey._field.tile import Tile, collision_shape
 from rfpsurvey.errors import number_of
-from rfpsurvey.plot._focal_plane import plot_focal_plane
-from rfpsurvey.plot._quality import plot_quality
+from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, model_facts
 from rfpsurvey.report._views import blocks_of_plans, focal_plane_view
 

@@ -21,8 +21,7 @@ from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, se
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, number_of, refusal
-from rfpsurvey.plot._sky import draw_tiling, plot_tiling
-from rfpsurvey.plot._survey import plot_completeness, plot_selection, plot_survey_status
+from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_survey_status, plot_tiling
 from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
 from rfpsurvey.report._html import html_of
 from rfpsurvey.report._tables import (

@@ -9,6 +9,7 @@ import pytest
 
 import interrupts
 import rfpsurvey as rs
+from rfpsurvey._assignment import clock
 from rfpsurvey._cli import process as _process
 from rfpsurvey._common import temporary as _temporary
 
@@ -124,7 +125,7 @@ def test_an_interrupted_search_of_a_plan_has_the_exit_code_of_an_interrupt(run, 
 
     def interrupted(*arguments, **options):
         tile = whole(*arguments, **options)
-        rs.allocation._clock.stop.set()
+        clock.stop.set()
         return tile
 
     monkeypatch.setattr(rs, "plan_tile", interrupted)

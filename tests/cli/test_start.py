@@ -12,8 +12,8 @@ import typer
 from numba.core import event
 
 import rfpsurvey as rs
-from rfpsurvey._cli import application as _compiling
-from rfpsurvey._cli.application import COMMANDS
+from rfpsurvey._cli import compiling
+from rfpsurvey._cli.application import COMMANDS, MODULES
 
 PROGRAM = """
 import runpy, sys
@@ -34,7 +34,7 @@ def test_nothing_large_is_imported(option):
 
 @pytest.mark.parametrize("name", [name for name in COMMANDS if name != "benchmark"])
 def test_the_list_contains_the_first_sentence_of_each_command(name, run):
-    module = import_module(f"rfpsurvey._cli.{name.replace('-', '_')}")
+    module = import_module(f"rfpsurvey._cli.{MODULES.get(name, name)}")
     text = inspect.getdoc(getattr(module, name.replace("-", "_")))
     assert " ".join(text.split("\n\n")[0].split()) == COMMANDS[name]
     assert COMMANDS[name] in " ".join(run("--help")[1].split())
@@ -67,7 +67,7 @@ register = event.register
 def registered(monkeypatch):
     """Return the listeners that the command registers, and check that none remains after the test."""
     found = []
-    monkeypatch.setattr(_compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
+    monkeypatch.setattr(compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
     yield found
     for one in found:
         event.unregister("numba:compile", one)
@@ -75,10 +75,10 @@ def registered(monkeypatch):
 
 @pytest.mark.parametrize("watched", [True, False])
 def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, registered, watched):
-    monkeypatch.setattr(_compiling.sys.stderr, "isatty", lambda: watched, raising=False)
-    _compiling.announce_compilation()
+    monkeypatch.setattr(compiling.sys.stderr, "isatty", lambda: watched, raising=False)
+    compiling.announce_compilation()
     assert len(registered) == int(watched)
-    monkeypatch.setattr(_compiling.event, "register", register)  # numba registers further listeners
+    monkeypatch.setattr(compiling.event, "register", register)  # numba registers further listeners
     if numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     for _ in range(2):

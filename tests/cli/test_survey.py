@@ -219,7 +219,7 @@ def test_columns_and_units_of_tiles_can_be_given(call, refused, run, files, tmp_
     assert "columns of tiles: tile: who, ra: alpha, dec: delta\n" in found.out
     assert "2" in found.lines["tiles"]
     assert "no target was observed" not in found.err  # the centers are where the targets are
-    work = {"tile": "place_tiles", "survey": "inputs.model_of"}.get(command, "_cli._app.model_of")
+    work = {"tile": "place_tiles", "survey": "_survey.key_objects.model_of"}.get(command, "_cli.command.model_of")
     monkeypatch.setattr(f"rfpsurvey.{work}", lambda *_, **__: (_ for _ in ()).throw(rs.InputError("enough")))
     err = run(command, "--set", "tiles.units.ra=deg")[2]
     assert "warning: tiles.units has no effect without a table of tiles" in err

@@ -148,7 +148,7 @@ def test_bad_cadences():
 def test_a_finished_survey_with_cadences_is_read_and_not_planned_again(tmp_path, monkeypatch):
     """Exposures of incomplete epochs do not count, so that each tile was read and prepared again."""
     survey = plan(*scene(1), folder=tmp_path / "survey")
-    monkeypatch.setattr(rs.survey._run, "run_rounds", None)
+    monkeypatch.setattr("rfpsurvey._survey.run.run_rounds", None)
     assert plan(*scene(1), folder=tmp_path / "survey", resume=True).summary == survey.summary
 
 

@@ -83,10 +83,10 @@ def test_plans_with_collisions_remain_valid_and_do_not_become_worse(seed):
         network.target[chosen][network.target[chosen] >= 0], minlength=len(network.slot)
     )
     for c in np.flatnonzero((network.target >= 0) & (used == 0)):
-        old = chosen[network.owner[c]]
+        old = chosen[network.positioner[c]]
         if left[network.target[c]] > 0 and network.rank[c] < network.rank[old]:
             new = chosen.copy()
-            new[network.owner[c]] = c
+            new[network.positioner[c]] = c
             assert not is_valid(network, new)
 
 

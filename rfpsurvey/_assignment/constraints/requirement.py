@@ -13,7 +13,9 @@ from rfpsurvey._sky.arrays import KINDS, has_role
 from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, close_to, items_of, listed, refusal, short
 
 NUMBERS = r"(?:([0-9]{1,9})|([0-9]{1,9})?\s*-\s*([0-9]{1,9}))"
-FORM = re.compile(rf"(?:'([^']+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*([^/\s][^/]*))?")
+FORM = re.compile(
+    rf"(?:'((?:[^']|'')+)'\s*|([^'@=/<>][^@=/<>]*))(?:@([^@=/<>]+))?=\s*{NUMBERS}\s*(?:/\s*([^/\s][^/]*))?"
+)
 PLAIN = re.compile(r"[^'\s@=/<>](?:[^@=/<>]*[^\s@=/<>])?")
 MOST = 10**9
 
@@ -157,7 +159,7 @@ class Requirement(Constraint):
             ``WHAT=MIN``, ``WHAT=MIN-MAX`` or ``WHAT=-MAX``, optionally with ``@FIBER`` after WHAT, and with
             ``/spectrograph``, or ``/`` and the name of a column of the focal plane, at the end if the numbers apply to
             each spectrograph or to each value of the column. WHAT is in single quotes if it contains one of the
-            characters ``@=/<>`` or is the name of a constraint.
+            characters ``@=/<>`` or is the name of a constraint; a single quote in it is then doubled.
 
         Returns
         -------
@@ -177,14 +179,15 @@ class Requirement(Constraint):
             )
         quoted, what, fiber, least, low, high, per = match.groups()
         most = None if high is None else int(high)
-        return cls(quoted or what.strip(), int(least or low or 0), most, per or "tile", (fiber or "").strip())
+        name = quoted.replace("''", "'") if quoted else what.strip()
+        return cls(name, int(least or low or 0), most, per or "tile", (fiber or "").strip())
 
     def __str__(self):
         most = "" if self.maximum is None else f"-{self.maximum}"
         fiber = f"@{self.fiber_type}" if self.fiber_type else ""
         named = {constraint.name for constraint in _subclasses(Constraint)} - {*KINDS}
         plain = PLAIN.fullmatch(self.what) and self.what.split()[0] not in named
-        what = self.what if plain else f"'{self.what}'"
+        what = self.what if plain else "'" + self.what.replace("'", "''") + "'"
         return f"{what}{fiber}={self.minimum}{most}" + ("" if self.per == "tile" else f"/{self.per}")
 
     def __repr__(self):
