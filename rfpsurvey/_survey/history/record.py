@@ -24,6 +24,7 @@ from rfpsurvey._sky.frames import as_table
 from rfpsurvey._survey.folder import TABLES, clock, read_request
 from rfpsurvey._survey.generations import EVENTS, read_generations, replace_plan
 from rfpsurvey._survey.history.event_files import History, append_events, copied_bodies, read_events, write_copy
+from rfpsurvey._survey.history.event_tables import check_others, columns_of_catalog, renamed, roles_of, tile_events
 from rfpsurvey._survey.history.events import (
     EventFile,
     Events,
@@ -35,7 +36,6 @@ from rfpsurvey._survey.history.events import (
 )
 from rfpsurvey._survey.history.replay import TileStates
 from rfpsurvey._survey.history.targets import DROPPED, IS_ADDED, target_changes
-from rfpsurvey._survey.history.tile_events import check_others, columns_of_catalog, renamed, roles_of, tile_events
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
