@@ -26,7 +26,7 @@ PLAN = rs.allocate(PLANE, XY, allocator="balanced")
 SCALE = {"plate_scale": 200 * MM / DEG}
 SMALL = rs.Instrument("small", PLANE, **SCALE)
 TABLE = QTable({"ra": [10.0, 20.0] * DEG, "dec": [1.0, 2.0] * DEG})
-TWIN = SkyCoord([[1, 2]], [[1, 2]], unit="deg")
+GRID = SkyCoord([[1, 2]], [[1, 2]], unit="deg")
 options, tiling, uniform = rs.AllocationOptions, rs.Tiling.from_table, partial(rs.synthetic_catalog, "uniform", CENTER)
 plane, plan, tips = partial(replace, PLANE), partial(rs.plan_tile, few(), SMALL, CENTER), PLANE.xy
 allocate, find, coordinates = partial(rs.allocate, PLANE, XY), partial(rs.find_collisions, PLANE), rs.Catalog.from_table
@@ -66,8 +66,8 @@ CALLS = {
     "of a Generator that returns such a Quantity, got the class RandomTargets": lambda: rs.collision_probability(
         PLANE, targets=rs.probability.RandomTargets
     ),
-    "coord must have the shape (n,), got (1, 2)": lambda: rs.Catalog(TWIN),
-    "coord must have the shape ": lambda: SMALL.projection(CENTER).to_focal_plane(TWIN),
+    "coord must have the shape (n,), got (1, 2)": lambda: rs.Catalog(GRID),
+    "coord must have the shape ": lambda: SMALL.projection(CENTER).to_focal_plane(GRID),
     "epoch must be one time or have the shape (2,), got (3,)": lambda: rs.Catalog(
         TWO, epoch=Time([2000, 2001, 2002], format="jyear")
     ),

@@ -36,7 +36,7 @@ SMALL = {
 }
 """Arguments that make a script short."""
 SECONDS, TOGETHER = 3, 2
-"""A script that runs for this time has started, and is ended; so many scripts run at a time."""
+"""A script that runs for this time has started, and is ended; the second number is that of simultaneous scripts."""
 
 
 def lacks_data(script):

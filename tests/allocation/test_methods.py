@@ -80,7 +80,7 @@ def lamost_with_requirements(xy, plane, can, priority, kind, category, requireme
     return target_of
 
 
-wishes = st.lists(
+requirements = st.lists(
     st.builds(
         rs.Requirement,
         st.sampled_from([*KINDS, "faint", "missing"]),
@@ -92,7 +92,7 @@ wishes = st.lists(
 )
 
 
-@given(st.sampled_from(sorted(PLANES)), scenes(), wishes, st.randoms(use_true_random=False))
+@given(st.sampled_from(sorted(PLANES)), scenes(), requirements, st.randoms(use_true_random=False))
 def test_lamost_with_requirements_is_the_rule_as_written(name, scene, requirements, random):
     plane, (xy, priority, kind) = PLANES[name], scene
     category, can = [random.choice(["faint", ""]) for _ in xy], plane.reachable(xy * MM).toarray()

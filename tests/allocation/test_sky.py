@@ -121,9 +121,9 @@ def test_gaps_are_found_where_there_are_any(separation, rng):
 
 @pytest.mark.filterwarnings("ignore:sky_separation has no effect")
 @pytest.mark.parametrize("method", FILLING)
-@pytest.mark.parametrize("wishes", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
-def test_nothing_is_found_that_nobody_asks_for(wishes, method, rng):
-    xy, options = targets(rng, 20), {"method": method, "requirements": wishes}
+@pytest.mark.parametrize("requirements", [None, "standard=3", "sky=0", "sky=-5", "sky_boss=3", "science=3"])
+def test_nothing_is_found_that_nobody_asks_for(requirements, method, rng):
+    xy, options = targets(rng, 20), {"method": method, "requirements": requirements}
     found = flat.allocate(two_fibers(), xy * MM, sky_separation=3 * MM, **options)
     without = flat.allocate(two_fibers(), xy * MM, **options)
     assert len(found.xy) == found.n_given == 20
@@ -185,8 +185,8 @@ def test_each_fiber_type_has_sky_of_its_own(method, rng):
 @pytest.mark.parametrize("method", FILLING)
 def test_spectrographs_of_their_own_get_sky_of_their_own(method, rng):
     plane = replace(two_fibers(), spectrograph=np.column_stack([np.arange(37) % 2, np.arange(37) % 3]))
-    xy, wishes = targets(rng, 60), ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
-    found = flat.allocate(plane, xy * MM, method, requirements=wishes, sky_separation=2 * MM)
+    xy, requirements = targets(rng, 60), ["sky@A=2/spectrograph", "sky@B=3/spectrograph"]
+    found = flat.allocate(plane, xy * MM, method, requirements=requirements, sky_separation=2 * MM)
     own, rows = blank_of(found)
     columns = plane.spectrograph[own, [plane.fiber_types.index(name) for name in found.target_fiber_type[rows]]]
     counts = {
