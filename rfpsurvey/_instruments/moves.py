@@ -30,7 +30,7 @@ def find_moves(columns, owner, fiber, theta, phi, *, moving: np.ndarray | bool =
     offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else 0.0
     length = np.full(len(owner), columns.length) if has_axis else geometry.l2.copy()
     inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(owner))
-    turn = np.where(moving, _to_fold(columns, owner, fiber, phi, offset), 0.0)
+    turn = np.where(moving, to_fold(columns, owner, fiber, phi, offset), 0.0)
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
     angle, reach = theta + phi + offset, length if outline is None else np.full(len(owner), outline.reach[0])
     circle, sector = np.empty((3, len(owner))), np.empty((4, len(owner)))
@@ -41,7 +41,7 @@ def find_moves(columns, owner, fiber, theta, phi, *, moving: np.ndarray | bool =
     return motion.Moves(x, y, angle, turn, inner, length, reach, circle, sector)
 
 
-def _to_fold(columns, owner, fiber, phi, offset):
+def to_fold(columns, owner, fiber, phi, offset):
     """Return the angle by which phi changes from its value at the target until the arm is folded.
 
     The folded arm lies over the central arm, or as close to it as the joint limits allow. ``phi`` is between -pi and
@@ -52,12 +52,12 @@ def _to_fold(columns, owner, fiber, phi, offset):
     low, high, _ = phi_limits(columns, owner, fiber)
     if np.isinf(low).all():
         return turn
-    joint = _joint_phi(columns, owner, fiber, phi)
+    joint = joint_phi(columns, owner, fiber, phi)
     direct, reverse = (np.clip(joint + way, low, high) - joint for way in (turn, turn - 2 * np.pi * side))
     return np.where(np.cos(phi + offset + reverse) < np.cos(phi + offset + direct) - MUCH, reverse, direct)
 
 
-def _limits(columns, owner, k, name):
+def limits_of(columns, owner, k, name):
     if columns.joints is not None:
         return columns.joints.limits[2 * k, owner], columns.joints.limits[2 * k + 1, owner]
     given = getattr(columns.plane.positioner, name)
@@ -67,7 +67,7 @@ def _limits(columns, owner, k, name):
 
 def _within_theta(columns, owner, theta):
     """Return whether joint angles theta, in the convention of the kernels, are within the joint limits."""
-    low, high = _limits(columns, owner, 0, "theta_range")
+    low, high = limits_of(columns, owner, 0, "theta_range")
     zero = 0.0 if columns.joints is None else columns.joints.zeros(owner, columns.first_index[owner])[0]
     with np.errstate(invalid="ignore"):
         # a rounding error at the lower limit must not add a full rotation
@@ -77,10 +77,10 @@ def _within_theta(columns, owner, theta):
 def fold_of(columns, owner, fiber, phi, turn):
     """Return the joint angle phi at which each arm is folded; 0 if phi has no limits."""
     low, _, _ = phi_limits(columns, owner, fiber)
-    return np.where(np.isinf(low), 0.0, _joint_phi(columns, owner, fiber, phi) + turn)
+    return np.where(np.isinf(low), 0.0, joint_phi(columns, owner, fiber, phi) + turn)
 
 
-def _joint_phi(columns, owner, fiber, phi):
+def joint_phi(columns, owner, fiber, phi):
     """Return the joint angle phi for phi in the convention of the kernels; within the limits, if there are limits."""
     low, _, zero = phi_limits(columns, owner, fiber)
     with np.errstate(invalid="ignore"):
@@ -92,7 +92,7 @@ def _joint_phi(columns, owner, fiber, phi):
 def phi_limits(columns, owner, fiber):
     """Return the joint limits of phi, and the value of phi in the convention of the kernels at the joint angle 0."""
     zero = 0.0 if columns.joints is None else columns.joints.zeros(owner, fiber)[1]
-    return *_limits(columns, owner, 1, "phi_range"), zero
+    return *limits_of(columns, owner, 1, "phi_range"), zero
 
 
 def _around_both(circle, geometry, radius):
@@ -225,21 +225,25 @@ class Folded:
             start = zero + np.where(np.isinf(low), start - zero, np.clip(start - zero, low, high))
             start = split_phi(columns, start)
             moves = find_moves(columns, owner, fiber, np.zeros(n), start)
-            self.eccentric = np.maximum(self.eccentric, _extent(columns, moves.angle + moves.turn, moves.length))
+            self.eccentric = np.maximum(self.eccentric, extent(columns, moves.angle + moves.turn, moves.length))
             self.poses.append((fiber, start + moves.turn))
 
     @property
     def touching(self) -> np.ndarray:
         """Pairs of usable positioners whose folded arms can touch each other when they turn, shape (k, 2)."""
-        columns = self.columns
-        pairs = columns.neighbors[columns.usable[columns.neighbors].all(axis=1)]
-        (a, b), (p, q) = self.eccentric[pairs].T, self.central[pairs].T
-        apart = np.hypot(*(columns.xy[pairs[:, 0]] - columns.xy[pairs[:, 1]]).T)
-        size = np.maximum(a + b, np.maximum(a + q if q.any() else 0.0, b + p if p.any() else 0.0))
-        return pairs[size + columns.separation + motion.TOLERANCE > apart]
+        return touching(self.columns, self.eccentric, self.central)
 
 
-def _extent(columns, angle, length):
+def touching(columns, eccentric, central) -> np.ndarray:
+    """Return the pairs of usable positioners whose arms of given sizes can touch each other when they turn."""
+    pairs = columns.neighbors[columns.usable[columns.neighbors].all(axis=1)]
+    (a, b), (p, q) = eccentric[pairs].T, central[pairs].T
+    apart = np.hypot(*(columns.xy[pairs[:, 0]] - columns.xy[pairs[:, 1]]).T)
+    size = np.maximum(a + b, np.maximum(a + q if q.any() else 0.0, b + p if p.any() else 0.0))
+    return pairs[size + columns.separation + motion.TOLERANCE > apart]
+
+
+def extent(columns, angle, length):
     """Return the largest distance of the eccentric arms from the centers, for arms at an angle to the central arm."""
     outline, x = columns.plane.positioner.outline, columns.central_arm
     if outline is None:
@@ -320,7 +324,7 @@ def _near(columns, folded, broken):
     pairs = columns.neighbors[columns.usable[columns.neighbors].sum(axis=1) == 1]
     theta = np.arctan2(broken.y - columns.xy[:, 1], broken.x - columns.xy[:, 0])
     with np.errstate(invalid="ignore"):
-        size = np.maximum(_extent(columns, broken.angle - theta, broken.length), folded.central)
+        size = np.maximum(extent(columns, broken.angle - theta, broken.length), folded.central)
     reach = np.maximum(folded.eccentric, folded.central)
     for a, b in pairs.tolist():
         i, j = (a, b) if columns.usable[a] else (b, a)
@@ -370,7 +374,7 @@ def _free_bins(columns, i, fiber, phi, size, broken, neighbors, obstacles):
 
 def _line(columns, i, free):
     """Return the direction at which the joint range of theta begins, and the arc of each bin from there (0: none)."""
-    low, high = (float(v[0]) for v in _limits(columns, np.array([i]), 0, "theta_range"))
+    low, high = (float(v[0]) for v in limits_of(columns, np.array([i]), 0, "theta_range"))
     if np.isfinite(low):
         zero = 0.0 if columns.joints is None else columns.joints.zeros(i, columns.first_index[i])[0]
         first, last = int(np.floor((low + zero) / BIN)), int(np.ceil((high + zero) / BIN))

@@ -1,0 +1,185 @@
+"""Plan paths of all arms between a plan and the folded poses, and prove that no arms collide on them."""
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._common.units import to_generator, to_scalar
+from rfpsurvey._instruments.arms import Arms, check_arms, check_plane, place_arms
+from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.path_arms import PathArms, arms_of, joint_range
+from rfpsurvey._instruments.paths import Paths, near_obstacles, near_pairs
+from rfpsurvey._kernels import joint_motion, path_search, path_steps
+from rfpsurvey.errors import check_keywords
+
+STAGES = ((1.0, 2.0, 0.3), (1.0, 4.0, 1.0), (2.0, 2.0, 0.3), (0.5, 6.0, 3.0))
+"""Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost."""
+PATIENCE = np.deg2rad(40.0)
+"""An attempt ends if the arms fold no further while an arm could turn by this angle."""
+PRESSED = np.deg2rad(20.0)
+"""Angle by which an arm turns while it gives way to a neighbor that it blocked."""
+MOST = np.deg2rad(1440.0)
+"""Angle by which an arm can turn during an attempt."""
+ASSUMED_SPEED = 10 * u.deg / u.s
+"""Largest angular speed of joints for which no speed is known."""
+SAME = 1e-6
+"""Largest difference (rad) of phi from that of the folded arm, for arms that have arrived."""
+GROUP = 4
+"""Largest number of arms whose joint space is searched."""
+REACH, N_NODES = np.deg2rad(10.0), 20_000
+"""Largest change of an angle between two nodes of a search, and largest number of nodes."""
+TOLERANCES = np.deg2rad([16.0, 8.0, 4.0, 2.0, 1.0, 0.5])
+"""Largest changes of angles by which paths are simplified; the first that is possible is used."""
+
+
+@check_keywords
+def find_paths(
+    focal_plane: FocalPlane,
+    arms: object,
+    *,
+    theta_range: u.Quantity | None = None,
+    phi_range: u.Quantity | None = None,
+    speed: u.Quantity | None = None,
+    step: u.Quantity = 1 * u.deg,
+    margin: u.Quantity = 0.05 * u.mm,
+    rng: int | np.random.Generator | None = 1,
+) -> Paths:
+    """Plan paths on which all arms fold without collisions; in reverse, they lead from the folded poses to the plan.
+    """
+    check_plane(focal_plane)
+    h = to_scalar(step, u.rad, "step", low=0)
+    gap = to_scalar(margin, u.mm, "margin", low=0, closed=True)
+    generator = to_generator(rng)
+    if hasattr(arms, "place_arms"):
+        arms = arms.place_arms(focal_plane)
+    posed = arms if isinstance(arms, Arms) else place_arms(focal_plane, arms)
+    check_arms(focal_plane, posed)
+    columns = focal_plane.arrays.using(posed.fiber)
+    ranges = joint_range(theta_range, "theta_range"), joint_range(phi_range, "phi_range")
+    prepared = arms_of(columns, posed, *ranges, gap)
+    planner = _Planner(columns, prepared, h, generator)
+    planner.fold_all()
+    planner.search_groups()
+    planner.turn_home()
+    knots = planner.knots()
+    joint_motion.simplify(knots, prepared.bodies, columns.limits, prepared.around, TOLERANCES)
+    rows = np.concatenate([np.arange(*ends) for ends in zip(knots.start, knots.stop, strict=True)])
+    owner = np.repeat(np.arange(len(knots.start)), knots.stop - knots.start)
+    start = np.append(0, np.cumsum(knots.stop - knots.start))
+    theta = knots.theta[rows]
+    phi = knots.psi[rows] - theta - prepared.phi_zero[owner]
+    theta = theta - prepared.theta_zero[owner]
+    absent = np.isnan(prepared.bodies.x)[owner]
+    theta[absent] = phi[absent] = np.nan
+    rate = to_scalar(ASSUMED_SPEED if speed is None else speed, u.rad / u.s, "speed", low=0)
+    meta = {
+        "seed": int(rng) if isinstance(rng, int | np.integer) else None,
+        "step_deg": float(np.rad2deg(h)),
+        "speed_deg_s": float(np.rad2deg(rate)),
+        "speed_is_assumed": speed is None,
+        "margin_mm": gap,
+    }
+    angles = (np.rad2deg(v) << u.deg for v in (theta, phi))
+    arrives = prepared.around.free & (planner.remaining <= SAME)
+    time = knots.time[rows] * (h / rate) << u.s
+    return Paths(focal_plane, start, time, *angles, arrives, columns.fiber_index, tuple(planner.groups), meta)
+
+
+class _Planner:
+    """The poses of all arms while their paths are planned; times are numbers of steps of ``step`` rad."""
+
+    def __init__(self, columns, prepared: PathArms, step: float, rng: np.random.Generator):
+        self.columns, self.prepared, self.step, self.rng = columns, prepared, step, rng
+        self.theta, self.psi = prepared.theta.copy(), prepared.psi.copy()
+        self.time, self.parts, self.groups = 0.0, [], []
+        self._add(np.arange(len(self.theta)), 0.0)
+
+    @property
+    def remaining(self) -> np.ndarray:
+        """Angle phi from each arm to its folded pose; 0 for arms that do not move."""
+        around = self.prepared.around
+        return np.where(around.free, np.abs(around.fold - (self.psi - self.theta)), 0.0)
+
+    def _add(self, rows, time):
+        """Add knots with the present poses of the positioners ``rows``."""
+        self.parts.append((rows, np.broadcast_to(time, len(rows)), self.theta[rows], self.psi[rows]))
+
+    def fold_all(self):
+        """Fold all arms in short steps; each attempt begins with the poses at the end of the attempt before."""
+        prepared, limits = self.prepared, self.columns.limits
+        for factor, wide, noise in STAGES:
+            # the arms that are farthest from their folded poses decide first
+            order = np.argsort(-self.remaining, kind="stable")
+            h = self.step * factor
+            counts = (int(np.ceil(angle / h)) for angle in (MOST, PATIENCE, PRESSED))
+            owner, when, where, n = path_steps.walk(
+                prepared.bodies, limits, prepared.around, self.theta, self.psi, order, h, *counts, wide, noise, self.rng
+            )
+            self.parts.append((owner, self.time + factor * when, *where))
+            self.time += factor * n
+            if not (self.remaining > SAME).any():
+                break
+
+    def search_groups(self):
+        """Search paths of small groups for the arms that are not folded; distant groups move at the same time."""
+        prepared, around = self.prepared, self.prepared.around
+        busy = np.full(len(self.theta), self.time)
+        for i in np.flatnonzero(self.remaining > SAME):
+            if self.remaining[i] <= SAME:
+                continue
+            row = around.near[around.start[i] : around.start[i + 1]]
+            row = row[around.free[row]]
+            members = np.append(i, row[np.argsort(self._distances(i, row), kind="stable")])
+            for size in range(min(2, len(members)), min(GROUP, len(members)) + 1):
+                group = members[:size]
+                path = path_search.search(
+                    prepared.bodies, self.columns.limits, around, self.theta, self.psi, group, REACH, N_NODES, self.rng
+                )
+                if len(path):
+                    break
+            if len(path) == 0:
+                self.groups.append(members[:2])
+                continue
+            touched = np.unique(np.concatenate([around.near[around.start[k] : around.start[k + 1]] for k in group]))
+            touched = np.append(touched, group)
+            begin = busy[touched].max()
+            times = begin + np.append(0.0, np.cumsum(np.abs(np.diff(path, axis=0)).max(axis=1) / self.step))
+            for pose, time in zip(path, times, strict=True):
+                self.theta[group], self.psi[group] = pose[::2], pose[::2] + pose[1::2]
+                self._add(group, time)
+            busy[touched] = times[-1]
+        self.time = busy.max()
+
+    def _distances(self, i, rows):
+        segments, limits = np.empty((4, len(self.theta) + 1)), self.columns.limits
+        path_steps.locate_all(self.prepared.bodies, self.theta, self.psi, segments)
+        return [path_steps.distance_at_rest(segments, limits, i, i, j, j, np.inf) for j in rows]
+
+    def turn_home(self):
+        """Turn the folded arms to the home pose, unless they would collide with arms that do not turn."""
+        prepared, n = self.prepared, len(self.theta)
+        turn = np.where(prepared.around.free & (self.remaining <= SAME), prepared.home - self.theta, 0.0)
+        pairs = self.columns.neighbors
+        while turn.any():
+            rows = np.arange(0, 2 * n, 2)
+            ends = (np.column_stack([angle, angle + turn]).ravel() for angle in (self.theta, self.psi))
+            knots = joint_motion.Knots(rows, rows + 2, np.tile([0.0, 1.0], n), *ends)
+            hits = near_obstacles(knots, prepared.bodies, self.columns)
+            blocked = np.append(near_pairs(knots, prepared.bodies, self.columns), self.columns.obstacle_pairs[hits, 0])
+            blocked = blocked[turn[blocked] != 0.0]
+            if len(blocked) == 0:
+                break
+            turn[blocked] = 0.0
+        self._add(np.arange(n), self.time)
+        self.theta, self.psi = self.theta + turn, self.psi + turn
+        self.time += max(np.abs(turn).max(initial=0.0) / self.step, 1.0 if self.time == 0.0 else 0.0)
+        self._add(np.arange(n), self.time)
+
+    def knots(self) -> joint_motion.Knots:
+        """Return the knots of all paths, of which no two of one path have the same time."""
+        owner, time, theta, psi = (np.concatenate(column) for column in zip(*self.parts, strict=True))
+        order = np.lexsort((time, owner))
+        owner, time, theta, psi = owner[order], time[order], theta[order], psi[order]
+        keep = np.append((np.diff(owner) != 0) | (np.diff(time) > 1e-9), True)
+        owner = owner[keep]
+        start = np.searchsorted(owner, np.arange(len(self.theta) + 1))
+        return joint_motion.Knots(start[:-1].copy(), start[1:].copy(), time[keep], theta[keep], psi[keep])

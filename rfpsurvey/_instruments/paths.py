@@ -1,0 +1,347 @@
+"""Paths of all arms, with the proof that no arms collide on them."""
+
+import os
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+from astropy.table import QTable, Table, vstack
+
+from rfpsurvey._common import io as _io
+from rfpsurvey._common.descriptions import to_html
+from rfpsurvey._common.read_tables import read_table
+from rfpsurvey._common.units import check_columns, to_plain, to_radian, to_unit
+from rfpsurvey._instruments import moves as _moves
+from rfpsurvey._instruments.arms import check_plane
+from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.path_arms import bodies_of
+from rfpsurvey._kernels import joint_motion
+from rfpsurvey.errors import InputError, listed, number_of
+
+BEYOND = 1.0
+"""Distances that exceed the minimum separation by more than this (mm) are not distinguished."""
+WITHIN = 1e-3
+"""Largest error (mm) of the smallest distance."""
+COLUMNS = ("motion", "positioner", "time", "theta", "phi")
+"""Columns of a table of paths that must exist."""
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Paths of all arms from a plan to the folded poses, on which no arms collide.
+
+    The path of an arm consists of straight pieces between break points: between two break points, both joints rotate at
+    constant rates. When an object of this class is made, the paths are proven: at all times, all arms are farther from
+    each other than the minimum separation, and farther from obstacles than the clearance. The proof refers to the
+    geometry of the focal plane. It does not cover corrections of the positions of the fibers by a camera at the end.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The n positioners.
+    start : ndarray of int, shape (n + 1,)
+        The break points of positioner i are ``start[i]`` to ``start[i + 1] - 1``.
+    time : Quantity, shape (k,)
+        Time of each break point; the first time of all positioners is 0, and the last is the same.
+    theta, phi : Quantity, shape (k,)
+        Joint angles; phi is that of the fiber in ``fiber``. The angles are NaN for arms that are absent.
+    arrives : ndarray of bool, shape (n,)
+        Whether each arm that can move is folded at the end.
+    fiber : ndarray of int, shape (n,)
+        Index in ``focal_plane.fiber_types`` of the fiber type that each positioner uses.
+    groups : tuple of (list of str, str), optional
+        The groups of positioners whose arms do not arrive, with a reason.
+    meta : dict, optional
+        How the paths were planned.
+
+    Raises
+    ------
+    InputError
+        If arms come too close to each other or to obstacles, or exceed their joint limits.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
+    >>> paths = rs.collision.find_paths(plane, [[16, -12], [14, 12]] * u.mm)
+    >>> paths
+    <Paths: 2 of 2 arms arrive in 34.8 s, smallest distance 4.119 mm>
+    """
+
+    focal_plane: FocalPlane
+    start: np.ndarray
+    time: u.Quantity
+    theta: u.Quantity
+    phi: u.Quantity
+    arrives: np.ndarray
+    fiber: np.ndarray
+    groups: tuple = ()
+    meta: dict = field(default_factory=dict)
+
+    def __post_init__(self):
+        check_plane(self.focal_plane)
+        columns, ids, knots = self._columns, self.focal_plane.id, self._knots
+        pairs = columns.neighbors
+        near = np.empty(len(pairs))
+        joint_motion.find_near(knots, self._bodies, columns.limits, pairs, columns.limits.separation, near)
+        if (near < np.inf).any():
+            k = int(np.argmin(near))
+            i, j = pairs[k]
+            raise InputError(
+                f"the arms of a path must not collide, but {number_of(int((near < np.inf).sum()), 'pair')} of arms "
+                f"come closer than the minimum separation, {columns.separation:.4g} mm; the first are those of the "
+                f"positioners {ids[i]} and {ids[j]}"
+            )
+        hits = columns.obstacle_pairs[near_obstacles(knots, self._bodies, columns)]
+        if len(hits):
+            raise InputError(
+                f"the arms of a path must not touch obstacles, but {number_of(len(hits), 'pair')} of an arm and an "
+                f"obstacle come closer than the clearance; the first is that of the positioner {ids[hits[0, 0]]}"
+            )
+        beyond = self._beyond_limits()
+        if beyond.any():
+            raise InputError(
+                f"the joint angles of a path must be within the joint limits, but {number_of(int(beyond.sum()), 'arm')} "
+                f"exceed them; the first is that of the positioner {ids[int(np.argmax(beyond))]}"
+            )
+
+    @cached_property
+    def _columns(self):
+        return self.focal_plane.arrays.using(self.fiber)
+
+    @cached_property
+    def _bodies(self):
+        return bodies_of(self._columns, np.arange(len(self.fiber)), self.fiber)[0]
+
+    @cached_property
+    def _owner(self):
+        return np.repeat(np.arange(len(self.fiber)), np.diff(self.start))
+
+    @cached_property
+    def _knots(self) -> joint_motion.Knots:
+        """The paths in the convention of the kernels."""
+        n, columns, owner = len(self.focal_plane), self._columns, self._owner
+        time, angles = to_unit(self.time, u.s, "time"), []
+        for name in ("theta", "phi"):
+            angles.append(to_radian(getattr(self, name), name))
+        theta, phi = columns.from_joints(*angles, owner, self.fiber[owner])
+        first, last = self.start[:-1], self.start[1:] - 1
+        inner = np.diff(time)[np.diff(owner) == 0]
+        if (last <= first).any() or (time[first] != 0).any() or np.ptp(time[last]) > 0 or not (inner > 0).all():
+            raise InputError(
+                "the times of each positioner must increase from 0 s to the same last time, with at least two times"
+            )
+        _, offset = bodies_of(columns, np.arange(n), self.fiber)
+        return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + offset[owner])
+
+    def _beyond_limits(self):
+        """Return which arms exceed the joint limits of the focal plane."""
+        columns, rows = self._columns, np.arange(len(self.fiber))
+        beyond = np.zeros(len(rows), dtype=bool)
+        for k, name in enumerate(("theta", "phi")):
+            low, high = (v[self._owner] for v in _moves.limits_of(columns, rows, k, f"{name}_range"))
+            joint = getattr(self, name).to_value(u.rad)
+            free = np.isinf(low) | ~columns.usable[self._owner] | np.isnan(joint)
+            beyond[self._owner[~free & ((joint < low - 1e-6) | (joint > high + 1e-6))]] = True
+        return beyond
+
+    @property
+    def n_arriving(self) -> int:
+        """Number of arms that are folded at the end."""
+        return int(self.arrives.sum())
+
+    @property
+    def duration(self) -> u.Quantity:
+        """Duration of the motion."""
+        return self.time[-1]
+
+    @cached_property
+    def smallest_distance(self) -> u.Quantity:
+        """Lower limit of the distance of two arms on the whole paths, at most 0.001 mm below the smallest distance.
+
+        Distances that exceed the minimum separation by more than 1 mm are not distinguished.
+        """
+        columns, pairs = self._columns, self._columns.neighbors
+        low = columns.limits.separation
+        high = low + BEYOND
+        while len(pairs) and high - low > WITHIN:
+            middle = high if high == columns.limits.separation + BEYOND and low == columns.limits.separation else None
+            middle = 0.5 * (low + high) if middle is None else middle
+            near = np.empty(len(pairs))
+            joint_motion.find_near(self._knots, self._bodies, columns.limits, pairs, middle, near)
+            pairs_near = pairs[near < np.inf]
+            if len(pairs_near):
+                pairs, high = pairs_near, max(min(near.min(), middle - 1e-9), low)
+            else:
+                low = middle
+        return (low - columns.limits.outline.offset) * u.mm
+
+    @cached_property
+    def table(self) -> QTable:
+        """Table with a row for each break point of each arm, of the motion to the plan and of the motion to the folds.
+
+        Columns: ``motion`` (``unfold``: from the folded poses to the plan; ``fold``: the exact reversal), ``positioner``
+        (identifier), ``fiber_type`` (if there are several), ``time`` (s), ``theta``, ``phi`` (deg) and ``arrives``.
+        Arms that are absent have no rows.
+        """
+        owner, plane = self._owner, self.focal_plane
+        columns = {"positioner": np.asarray(plane.id)[owner]}
+        if len(plane.fiber_types) > 1:
+            columns["fiber_type"] = np.array(plane.fiber_types)[self.fiber][owner]
+        columns |= {"time": self.time.to(u.s), "theta": self.theta.to(u.deg), "phi": self.phi.to(u.deg)}
+        fold = QTable({"motion": np.full(len(owner), "fold"), **columns, "arrives": self.arrives[owner]})
+        unfold = fold[::-1][np.argsort(owner[::-1], kind="stable")]
+        unfold["motion"], unfold["time"] = "unfold", self.duration.to(u.s) - unfold["time"]
+        present = np.isfinite(fold["theta"])
+        table = vstack([unfold[present[::-1][np.argsort(owner[::-1], kind="stable")]], fold[present]])
+        table.meta = {**self.meta, "absent": [plane.id[i] for i in np.unique(owner[~present])]}
+        return table
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the table of the paths as FITS, ECSV or Parquet.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path that ends in ``.fits``, ``.ecsv`` or ``.parquet``.
+        overwrite : bool, optional
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        InputError
+            If the folder does not exist, or if the file exists and ``overwrite`` is False.
+        """
+        _io.write_table(self.table, path, overwrite=overwrite, name="PATHS")
+
+    @classmethod
+    def read(cls, path: str | os.PathLike, focal_plane: FocalPlane) -> "Paths":
+        """Read and prove the paths of a file that `write` wrote.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path of the file.
+        focal_plane : FocalPlane
+            The positioners.
+
+        Returns
+        -------
+        Paths
+            The paths.
+
+        Raises
+        ------
+        InputError
+            If the file contains no paths, or paths of another focal plane, or if the proof fails.
+        """
+        return cls.from_table(read_table(path), focal_plane)
+
+    @classmethod
+    def from_table(cls, table: Table, focal_plane: FocalPlane) -> "Paths":
+        """Return the paths of a table such as `table`, after a proof of both motions.
+
+        Parameters
+        ----------
+        table : Table
+            Table with the columns of `table`; ``fiber_type`` and ``arrives`` are optional.
+        focal_plane : FocalPlane
+            The positioners.
+
+        Returns
+        -------
+        Paths
+            The paths.
+
+        Raises
+        ------
+        InputError
+            If columns or positioners are missing, if the motions differ, or if the proof fails.
+        """
+        check_plane(focal_plane)
+        check_columns(table.colnames, COLUMNS, "the table of paths")
+        motion = to_plain(table["motion"], "motion").astype(str)
+        both = [cls._from_rows(table[motion == name], focal_plane, name, table.meta) for name in ("fold", "unfold")]
+        back = both[1]._reversed()
+        if not (np.array_equal(back.start, both[0].start) and all(_close(both[0], back, k) for k in COLUMNS[2:])):
+            raise InputError("the motion unfold must be the exact reversal of the motion fold")
+        return both[0]
+
+    @classmethod
+    def _from_rows(cls, table, plane, name, meta):
+        if len(table) == 0:
+            raise InputError(f"the table of paths must have rows with the motion {name!r}, got none")
+        rows = {str(key): k for k, key in enumerate(plane.id)}
+        given = to_plain(table["positioner"], "positioner").astype(str)
+        unknown = sorted({key for key in given if key not in rows})
+        if unknown:
+            raise InputError(
+                f"the paths must belong to the {len(plane)} positioners of the focal plane, which has no positioners "
+                f"{listed(unknown[:5])}"
+            )
+        absent = {str(key) for key in meta.get("absent", ())}
+        missing = sorted(set(rows) - set(given) - absent)
+        if missing:
+            raise InputError(f"the paths must contain all positioners; {listed(missing[:5])} are missing")
+        owner = np.array([rows[key] for key in given])
+        values = [to_unit(table[key], unit, key) for key, unit in zip(COLUMNS[2:], (u.s, u.rad, u.rad), strict=True)]
+        gone = np.repeat([rows[key] for key in absent], 2).astype(int)
+        owner = np.append(owner, gone)
+        last = values[0].max()
+        added = np.tile([0.0, last], len(absent)), np.full(len(gone), np.nan), np.full(len(gone), np.nan)
+        time, theta, phi = (np.append(v, more) for v, more in zip(values, added, strict=True))
+        order = np.lexsort((time, owner))
+        start = np.searchsorted(owner[order], np.arange(len(plane) + 1))
+        first = order[start[:-1]]
+        fiber, arrives = plane.arrays.first_index, np.ones(len(plane), dtype=bool)
+        known = first < len(given)
+        if "fiber_type" in table.colnames:
+            names = np.append(to_plain(table["fiber_type"], "fiber_type").astype(str), np.full(len(gone), ""))
+            fiber = plane.arrays.index_of(names[first])
+        if "arrives" in table.colnames:
+            arrives = np.append(np.asarray(table["arrives"], dtype=bool), np.zeros(len(gone), dtype=bool))[first]
+        angles = (np.rad2deg(v[order]) << u.deg for v in (theta, phi))
+        return cls(plane, start, time[order] << u.s, *angles, arrives & known, fiber, meta=dict(meta))
+
+    def _reversed(self):
+        """Return the same paths in the opposite direction."""
+        owner = self._owner[::-1]
+        order = np.argsort(owner, kind="stable")
+        time, theta, phi = (v[::-1][order] for v in (self.duration - self.time, self.theta, self.phi))
+        return Paths(self.focal_plane, self.start, time, theta, phi, self.arrives, self.fiber, self.groups, self.meta)
+
+    def _repr_html_(self) -> str:
+        facts = {"arms that arrive": self.n_arriving, "duration": self.duration}
+        return to_html(self, {**facts, "smallest distance": self.smallest_distance}, self.table)
+
+    def __repr__(self):
+        n = int(self._columns.usable.sum())
+        return (
+            f"<Paths: {self.n_arriving} of {number_of(n, 'arm')} arrive in {self.duration.to_value(u.s):.1f} s, "
+            f"smallest distance {self.smallest_distance.to_value(u.mm):.3f} mm>"
+        )
+
+
+def _close(first, second, name):
+    """Return whether a column of two paths differs only by rounding."""
+    a, b = getattr(first, name), getattr(second, name).to(getattr(first, name).unit)
+    return np.allclose(a.value, b.value, rtol=0, atol=1e-9, equal_nan=True)
+
+
+def near_pairs(knots, bodies, columns) -> np.ndarray:
+    """Return the pairs of positioners whose arms come closer than the minimum separation on their paths."""
+    pairs, limits = columns.neighbors, columns.limits
+    near = np.empty(len(pairs))
+    joint_motion.find_near(knots, bodies, limits, pairs, limits.separation, near)
+    return pairs[near < np.inf]
+
+
+def near_obstacles(knots, bodies, columns) -> np.ndarray:
+    """Return which pairs (arm, obstacle) come closer than the clearance on the paths of the arms."""
+    pairs = columns.obstacle_pairs
+    near = np.empty(len(pairs))
+    joint_motion.find_near_obstacles(knots, bodies, columns.limits, pairs, columns.obstacles, columns.clearance, near)
+    return near < np.inf

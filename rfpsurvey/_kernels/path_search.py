@@ -1,0 +1,187 @@
+"""Search of paths in the joint space of a few arms, and the proof that there is no path for two arms.
+
+A configuration of m arms is a point with the coordinates theta and phi of each arm. All other arms are at rest. The
+search grows two trees of configurations, one from the initial poses and one from folded poses, toward random
+configurations and toward each other (RRT-Connect, Kuffner and LaValle 2000). All motions are tested at all times.
+
+The proof divides each angle into cells. If two arms can move from their initial poses to their folded poses without
+coming closer than the minimum separation D, then they can also move from the center of a cell to the center of a
+neighboring cell, and so on, and are never closer in these centers than D minus the largest distance of a point of an arm
+from its position in the center of the cell. If the cells that can be reached in this way do not contain the folded
+poses, there is no path.
+"""
+
+import math
+
+import numpy as np
+
+from rfpsurvey._kernels.collisions import segments_squared
+from rfpsurvey._kernels.jit import kernel
+from rfpsurvey._kernels.path_steps import blocked_by, distance_at_rest, locate
+
+OPEN, LOCKED, UNKNOWN = 0, 1, 2
+
+
+@kernel
+def is_free(bodies, limits, around, state, members, here, there, gaps):
+    """Return whether the members can move from the configuration ``here`` to ``there`` at constant rates."""
+    theta, psi, rate, psi_rate, decided = state
+    for k in range(members.size):
+        i = members[k]
+        theta[i], psi[i] = here[2 * k], here[2 * k] + here[2 * k + 1]
+        rate[i] = there[2 * k] - here[2 * k]
+        psi_rate[i] = rate[i] + there[2 * k + 1] - here[2 * k + 1]
+    for i in members:
+        if blocked_by(bodies, limits, around, state, i, rate[i], psi_rate[i], gaps) != -1:
+            return False
+    return True
+
+
+@kernel
+def nearest_node(nodes, n, point):
+    """Return the row of the node with the smallest largest difference of an angle."""
+    best, nearest = math.inf, 0
+    for k in range(n):
+        far = 0.0
+        for c in range(point.size):
+            far = max(far, abs(nodes[k, c] - point[c]))
+        if far < best:
+            best, nearest = far, k
+    return nearest, best
+
+
+@kernel
+def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
+    """Return the configurations of a path to folded poses, shape (k, 2 m); no row if no path was found.
+
+    Between two nodes, no angle changes by more than ``reach``. ``theta`` and ``psi`` are the poses of all arms.
+    """
+    m = members.size
+    size = 2 * m
+    gaps = np.full(np.max(np.diff(around.start)), -np.inf)  # no distances are known before the motions are tested
+    state = theta.copy(), psi.copy(), np.zeros(theta.size), np.zeros(theta.size), np.zeros(theta.size, np.bool_)
+    low, high, goal = np.empty(size), np.empty(size), np.empty(size)
+    nodes, parent, count = np.empty((2, n_nodes, size)), np.full((2, n_nodes), -1), np.zeros(2, np.int64)
+    for k in range(m):
+        i = members[k]
+        state[4][i] = True
+        low[2 * k], high[2 * k] = around.theta_low[i], around.theta_high[i]
+        low[2 * k + 1], high[2 * k + 1] = around.phi_low[i], around.phi_high[i]
+        nodes[0, 0, 2 * k], nodes[0, 0, 2 * k + 1] = theta[i], psi[i] - theta[i]
+    count[0] = 1
+    for attempt in range(64):
+        for k in range(m):
+            angle = nodes[0, 0, 2 * k] if attempt == 0 else low[2 * k] + rng.random() * (high[2 * k] - low[2 * k])
+            goal[2 * k], goal[2 * k + 1] = angle, around.fold[members[k]]
+        if is_free(bodies, limits, around, state, members, goal, goal, gaps):
+            nodes[1, count[1]] = goal
+            count[1] += 1
+    path = np.empty((0, size))
+    if count[1] == 0:
+        return path
+    point, new = np.empty(size), np.empty(size)
+    tree, met = 0, False
+    while count.max() < n_nodes - 1 and not met:
+        for c in range(size):
+            point[c] = low[c] + rng.random() * (high[c] - low[c])
+        # the tree grows one step toward the random point, and the other tree then grows toward the new node
+        for turn in range(2):
+            side = tree if turn == 0 else 1 - tree
+            k, far = nearest_node(nodes[side], count[side], point)
+            grown = False
+            while count[side] < n_nodes - 1:
+                part = min(1.0, reach / far) if far > 0.0 else 1.0
+                for c in range(size):
+                    new[c] = nodes[side, k, c] + part * (point[c] - nodes[side, k, c])
+                if not is_free(bodies, limits, around, state, members, nodes[side, k], new, gaps):
+                    break
+                nodes[side, count[side]], parent[side, count[side]] = new, k
+                k = count[side]
+                count[side] += 1
+                far -= reach
+                grown = True
+                met = turn == 1 and part == 1.0
+                if turn == 0 or met:
+                    break
+            if not grown:
+                break
+            point[:] = nodes[side, k]
+        tree = 1 - tree
+    if not met:
+        return path
+    # the last nodes of both trees are equal
+    lengths = np.zeros(2, np.int64)
+    for side in range(2):
+        k = count[side] - 1
+        while k >= 0:
+            lengths[side] += 1
+            k = parent[side, k]
+    path = np.empty((lengths.sum() - 1, size))
+    k, row = count[0] - 1, lengths[0] - 1
+    while k >= 0:
+        path[row] = nodes[0, k]
+        k, row = parent[0, k], row - 1
+    k, row = parent[1, count[1] - 1], lengths[0]
+    while k >= 0:
+        path[row] = nodes[1, k]
+        k, row = parent[1, k], row + 1
+    # nodes between two nodes with a direct motion are removed
+    for _ in range(20 * len(path)):
+        if len(path) < 3:
+            break
+        first = int(rng.random() * (len(path) - 2))
+        last = first + 2 + int(rng.random() * (len(path) - first - 2))
+        if is_free(bodies, limits, around, state, members, path[first], path[last], gaps):
+            path = np.concatenate((path[: first + 1], path[last:]))
+    return path
+
+
+@kernel
+def flood(segments, limits, i, j, cells, usable, begin, goal, separation, most):
+    """Return LOCKED if two arms cannot reach folded poses, OPEN if they can between centers of cells, or UNKNOWN.
+
+    Arm i has ``cells[0]`` directions theta, which are cyclic if ``cells[2]`` is 1, times ``cells[1]`` angles phi. The
+    columns of ``segments`` are the poses of arm i in the centers of its cells, then those of arm j. ``begin`` and
+    ``goal`` are the first cells of both arms, and the numbers of the angles phi of folded arms. The result is UNKNOWN
+    if more than ``most`` pairs of cells remain to be examined at the same time.
+    """
+    n_theta, n_phi, cyclic = cells
+    n = n_theta * n_phi
+    seen = np.zeros(n * n // 64 + 1, np.uint64)
+    stack = np.empty(most, np.int64)
+    first = begin[0] * n + begin[1]
+    seen[first >> 6] |= np.uint64(1) << np.uint64(first & 63)
+    stack[0], used = first, 1
+    while used > 0:
+        used -= 1
+        a, b = stack[used] // n, stack[used] % n
+        if a % n_phi == goal[0] and b % n_phi == goal[1]:
+            return OPEN
+        for move in range(8):
+            # motions toward the fold are examined first, because they are the last ones on the stack
+            arm, joint, way = move // 2 % 2, move // 4, 2 * (move % 2) - 1
+            theta, phi = (a // n_phi, a % n_phi) if arm == 0 else (b // n_phi, b % n_phi)
+            if joint == 0:
+                theta += way
+                if cyclic:
+                    theta %= n_theta
+                elif theta < 0 or theta >= n_theta:
+                    continue
+            else:
+                phi += way if goal[arm] >= phi else -way
+                if phi < 0 or phi >= n_phi:
+                    continue
+            c = theta * n_phi + phi
+            p, q = (c, b) if arm == 0 else (a, c)
+            state = p * n + q
+            bit = np.uint64(1) << np.uint64(state & 63)
+            if not usable[arm, c] or seen[state >> 6] & bit:
+                continue
+            seen[state >> 6] |= bit
+            if distance_at_rest(segments, limits, p, i, n + q, j, separation) < separation:
+                continue
+            if used + 1 >= most:
+                return UNKNOWN
+            stack[used] = state
+            used += 1
+    return LOCKED
