@@ -77,6 +77,7 @@ CALLS = [
     (rs.ObservingConditions, {"site": "paranal", "hour_angle": 1 * u.hourangle}),
     (rs.JointOptions, {}),
     (rs.Margins, {}),
+    (rs.positioner.JointMotion, {}),
     (rs.survey.VisitRule, {}),
     (rs.KeepOut, {"circles": rs.Region.cap(CENTER, 1 * DEG)}),
     (rs.Required, {"ids": [1]}),

@@ -1,6 +1,6 @@
 """Read descriptions of instruments: TOML files in which every value has a status and a source.
 
-Methods of `Instrument` return the projections, margins, rules and cameras of a description.
+Methods of `Instrument` return the projections, margins, joint motion, rules and cameras of a description.
 """
 
 from dataclasses import replace
@@ -26,6 +26,7 @@ from rfpsurvey._instruments.entries import (
 )
 from rfpsurvey._instruments.entries import RULES as RULES_SECTION
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joint_motion import JointMotion
 from rfpsurvey._instruments.layouts import (
     ONLY_MODULES,
     SECTION,
@@ -47,12 +48,13 @@ from rfpsurvey._sky.projection import FieldProjection, TangentPlane, field_basis
 from rfpsurvey._sky.radial_map import RadialMap
 from rfpsurvey.errors import InputError, check_choice, short
 
-MARGINS, RULES = "margins.", f"{RULES_SECTION}."
-"""Beginnings of the names of entries on which a result depends only if the margins or the rules are used."""
+MARGINS, MOTION, RULES = "margins.", "motion.", f"{RULES_SECTION}."
+OPTIONAL = (MARGINS, MOTION, RULES)
+"""Beginnings of the names of entries on which a result depends only if margins, paths or rules are used."""
 
 
 class Described:
-    """The members that `Instrument` inherits: its projections, margins, rules and cameras."""
+    """The members that `Instrument` inherits: its projections, margins, joint motion, rules and cameras."""
 
     @property
     def published_margins(self) -> Margins:
@@ -115,6 +117,11 @@ class Described:
             The instrument with these margins.
         """
         return replace(self, focal_plane=replace(self.focal_plane, margins=margins))
+
+    @property
+    def motion(self) -> JointMotion:
+        """Ranges and speeds of the joints in the description of the instrument, on which only paths depend."""
+        return JointMotion(**{name: value_of(entry) for name, entry in select_entries(self.values, MOTION).items()})
 
     @property
     def cameras(self) -> dict[str, np.ndarray]:

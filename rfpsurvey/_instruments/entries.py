@@ -84,6 +84,10 @@ def _has_id(value: object) -> bool:
     return _is_table(value) and "id" in value
 
 
+def _is_range(value: object) -> bool:
+    return IS_POINT(value) and value[0] < value[1]
+
+
 TINY, MOST = 1e-300, 1e12  # limits of positive numbers
 IS_POINT, POSITIVE = _list(_number(), 2, 2), _number(TINY)
 IS_LENGTH, IS_CELL = _number(TINY, MOST), _list(_whole(-1000, 1000), 2, 2)
@@ -93,6 +97,8 @@ IS_MAP = _keys({"form": _is_text, "coefficients": _list(_number(), 1, 100)}, rad
 LENGTH = Kind("a length above 0", IS_LENGTH, u.mm)
 CLOSED_LENGTH = Kind("a length of at least 0", _number(0, MOST), u.mm)
 ANGLES = Kind("two angles", IS_POINT, u.rad)
+RANGE = Kind("two angles, of which the first is below the second", _is_range, u.rad)
+SPEED = Kind("an angular speed above 0", IS_LENGTH, u.rad / u.s)
 CELLS = Kind("a list of pairs of whole numbers", _list(IS_CELL))
 OUTLINE = Kind(
     "a table with the key eccentric (and, optionally, central); each key has a list of parts, and each part has "
@@ -114,6 +120,10 @@ SECTION_ENTRIES = {
         "arm_angle": Kind(
             "an angle, or a table with an angle for each fiber type", _either(_number(), _table(_number())), u.rad
         ),
+    },
+    "motion": {
+        **dict.fromkeys(("theta_range", "phi_range"), RANGE),
+        **dict.fromkeys(("theta_speed", "phi_speed"), SPEED),
     },
     "margins": {
         **dict.fromkeys(("outer", "inner", "arms", "broken"), CLOSED_LENGTH),

@@ -19,7 +19,7 @@ from rfpsurvey._common.read_documents import is_present
 from rfpsurvey._common.read_tables import to_path
 from rfpsurvey._instruments import description as _description
 from rfpsurvey._instruments.as_built import AsBuilt
-from rfpsurvey._instruments.description import MARGINS, RULES, Described
+from rfpsurvey._instruments.description import OPTIONAL, Described
 from rfpsurvey._instruments.entries import NEED
 from rfpsurvey._instruments.facts import Written, fact_texts, field_angles, find_facts, read_instrument
 from rfpsurvey._instruments.focal_plane import FocalPlane
@@ -286,8 +286,8 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
 
     @property
     def _used(self) -> dict:
-        """The values on which results depend, apart from the margins of the focal plane."""
-        return {k: v for k, v in self.values.items() if k not in UNUSED and not k.startswith((MARGINS, RULES))}
+        """The values on which results depend, apart from the margins of the focal plane and the motion of joints."""
+        return {k: v for k, v in self.values.items() if k not in UNUSED and not k.startswith(OPTIONAL)}
 
     @cached_property
     def _digest(self) -> str:

@@ -17,11 +17,19 @@ HANDEDNESS = ("right", "left", "both")
 ARM_MODELS = ("elbow_to_tip", "capsule", "fiber_tip", "outline")
 
 
-def _two_angles(value: u.Quantity, name: str) -> u.Quantity:
+def two_angles(value: u.Quantity, name: str) -> u.Quantity:
     """Return two angles after their check."""
     if not (to_radian(value, name).shape == (2,) and np.isfinite(value).all()):
         raise InputError(f"{name} must be two finite angles, got {value}")
     return value
+
+
+def check_ranges(settings: Checked) -> None:
+    """Raise an error if the lower end of ``theta_range`` or ``phi_range`` is not below the upper end."""
+    for name in ("theta_range", "phi_range"):
+        value = getattr(settings, name)
+        if value is not None and not value[0] < value[1]:
+            raise InputError(f"{name} must be (low, high) with low < high, got {value}")
 
 
 @check_keywords
@@ -96,9 +104,9 @@ class Positioner(Checked, ByValue):
     clearance: u.Quantity[u.mm] = option(low=0, below=1e6)
     step: u.Quantity[u.rad] = option(0 * u.deg, low=0, below=np.pi / 4)
     handedness: str = option("right", choices=HANDEDNESS)
-    theta_range: u.Quantity | None = option(None, convert=partial(_two_angles, name="theta_range"))
-    phi_range: u.Quantity | None = option(None, convert=partial(_two_angles, name="phi_range"))
-    home: u.Quantity | None = option(None, convert=partial(_two_angles, name="home"))
+    theta_range: u.Quantity | None = option(None, convert=partial(two_angles, name="theta_range"))
+    phi_range: u.Quantity | None = option(None, convert=partial(two_angles, name="phi_range"))
+    home: u.Quantity | None = option(None, convert=partial(two_angles, name="home"))
     displacement: u.Quantity[u.mm] | None = option(None, low=0, below=1e6)
     arm_model: str = option("elbow_to_tip", choices=ARM_MODELS, what="arm model")
     arm_length: u.Quantity[u.mm] | None = option(None, low=0, below=1e6)
@@ -112,10 +120,7 @@ class Positioner(Checked, ByValue):
             raise InputError("outline must be given for the arm model 'outline', and only for this model")
         if self.arm_model not in ("capsule", "outline") and self.arm_angle is not None:
             raise InputError("arm_angle must be given only for the arm models 'capsule' and 'outline'")
-        for name in ("theta_range", "phi_range"):
-            value = getattr(self, name)
-            if value is not None and not value[0] < value[1]:
-                raise InputError(f"{name} must be (low, high) with low < high, got {value}")
+        check_ranges(self)
         if self.home is not None and not self.numbers.joints_allowed(*self.numbers.home[:, None])[0]:
             raise InputError(f"home must lie within the joint limits, got {self.home}")
 

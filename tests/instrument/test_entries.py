@@ -6,7 +6,7 @@ import pytest
 
 import rfpsurvey as rs
 from rfpsurvey._instruments.entries import ENTRIES, NEED, check_description
-from rfpsurvey.positioner import Positioner
+from rfpsurvey.positioner import JointMotion, Positioner
 
 BASE = """
 schema = 1
@@ -17,6 +17,8 @@ eccentric_arm = { value = 5.0, unit = "mm", status = "assumed", source = "s" }
 clearance = { value = 1.0, unit = "mm", status = "assumed", source = "s" }
 [margins]
 outer = { value = 0.2, unit = "mm", status = "assumed", source = "s" }
+[motion]
+theta_speed = { value = 12.0, unit = "deg / s", status = "assumed", source = "s" }
 [layout]
 rings = { value = 2, status = "assumed", source = "s" }
 pitch = { value = 12.0, unit = "mm", status = "assumed", source = "s" }
@@ -75,6 +77,14 @@ WRONG_ENTRIES = [
     ("layout.table", figure("1"), "layout.table must be text, got 1"),
     ("positioner.home", figure("[1.0]", "deg"), "positioner.home must be two angles, got [1.0] deg"),
     ("positioner.home", figure("3", "deg"), "positioner.home must be two angles, got 3 deg"),
+    ("motion.phi_range", figure("[180, 0]", "deg"), "first is below the second, got [180, 0] deg"),
+    ("motion.theta_range", figure("[0, 0]", "deg"), "motion.theta_range must be two angles, of which the first is"),
+    ("motion.theta_range", figure("[0, 1]", "mm"), "motion.theta_range must be convertible to rad, got 'mm'"),
+    ("motion.theta_speed", figure("0", "deg / s"), "motion.theta_speed must be an angular speed above 0, got 0 deg"),
+    ("motion.theta_speed", figure("nan", "deg / s"), "motion.theta_speed must be an angular speed above 0, got nan"),
+    ("motion.phi_speed", figure("-1", "deg / s"), "motion.phi_speed must be an angular speed above 0, got -1 deg / s"),
+    ("motion.phi_speed", figure("12", "deg"), "the unit of motion.phi_speed must be convertible to rad / s, got 'deg'"),
+    ("motion.speed", figure("12", "deg / s"), "unknown entry of [motion] 'speed'"),
     ("positioner.handedness", figure("[]"), "positioner.handedness must be one of right, left, both, got []"),
     ("positioner.arm_angle", figure("{ A = true }", "deg"), "an angle, or a table with an angle for each fiber"),
     ("positioner.central_arm", figure('"3"', "mm"), "positioner.central_arm must be a length above 0, got '3' mm"),
@@ -138,14 +148,16 @@ def test_entries_that_every_description_must_have(tmp_path):
     assert refused(tmp_path, without_arm) == "[positioner] lacks central_arm, clearance"
 
 
-@pytest.mark.parametrize("section", ["positioner", "margins", "layout", "optics", "observing"])
+@pytest.mark.parametrize("section", ["positioner", "margins", "motion", "layout", "optics", "observing"])
 def test_a_section_must_be_a_table(section):
     with pytest.raises(rs.InputError, match=f"{section} must be a table, got 3"):
         check_description({"name": "a", section: 3})
 
 
 def test_the_table_of_entries_is_complete():
-    """The description can contain every argument of a positioner."""
+    """The description can contain every argument of a positioner and of the motion of joints."""
+    motion = {name.partition(".")[2] for name in ENTRIES if name.startswith("motion.")}
+    assert motion == {*JointMotion.__dataclass_fields__}
     own = {name.partition(".")[2] for name in ENTRIES if name.startswith("positioner.")}
     assert own == {*Positioner.__dataclass_fields__, "full_outline", "segment_clearance"}
     assert NEED.fullmatch("observing.boss_sky")
