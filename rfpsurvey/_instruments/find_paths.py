@@ -6,10 +6,11 @@ import numpy as np
 from rfpsurvey._common.units import to_generator, to_scalar
 from rfpsurvey._instruments.arms import Arms, check_arms, check_plane, place_arms
 from rfpsurvey._instruments.focal_plane import FocalPlane
-from rfpsurvey._instruments.path_arms import PathArms, arms_of, joint_range
+from rfpsurvey._instruments.joint_motion import JointMotion
+from rfpsurvey._instruments.path_arms import PathArms, arms_of
 from rfpsurvey._instruments.paths import Paths, near_obstacles, near_pairs
 from rfpsurvey._kernels import joint_motion, path_search, path_steps
-from rfpsurvey.errors import check_keywords
+from rfpsurvey.errors import InputTypeError, check_keywords
 
 STAGES = ((1.0, 2.0, 0.3), (1.0, 4.0, 1.0), (2.0, 2.0, 0.3), (0.5, 6.0, 3.0))
 """Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost."""
@@ -19,13 +20,15 @@ PRESSED = np.deg2rad(20.0)
 """Angle by which an arm turns while it gives way to a neighbor that it blocked."""
 MOST = np.deg2rad(1440.0)
 """Angle by which an arm can turn during an attempt."""
-ASSUMED_SPEED = 10 * u.deg / u.s
-"""Largest angular speed of joints for which no speed is known."""
+ASSUMED_SPEED = np.deg2rad(10.0)
+"""Angular speed (rad / s) of joints for which no speed is known."""
 SAME = 1e-6
 """Largest difference (rad) of phi from that of the folded arm, for arms that have arrived."""
 GROUP = 4
 """Largest number of arms whose joint space is searched."""
-REACH, N_NODES = np.deg2rad(10.0), 20_000
+CELL = np.deg2rad(1.0)
+"""Size of the cells with which it is proven that an arm has no path."""
+REACH, N_NODES = np.deg2rad(10.0), 6_000
 """Largest change of an angle between two nodes of a search, and largest number of nodes."""
 TOLERANCES = np.deg2rad([16.0, 8.0, 4.0, 2.0, 1.0, 0.5])
 """Largest changes of angles by which paths are simplified; the first that is possible is used."""
@@ -36,14 +39,68 @@ def find_paths(
     focal_plane: FocalPlane,
     arms: object,
     *,
-    theta_range: u.Quantity | None = None,
-    phi_range: u.Quantity | None = None,
-    speed: u.Quantity | None = None,
+    motion: JointMotion | None = None,
     step: u.Quantity = 1 * u.deg,
     margin: u.Quantity = 0.05 * u.mm,
     rng: int | np.random.Generator | None = 1,
 ) -> Paths:
-    """Plan paths on which all arms fold without collisions; in reverse, they lead from the folded poses to the plan.
+    """Plan paths on which all arms fold without collisions; the reversed paths lead from the folded poses to the plan.
+
+    All arms move at the same time, in short steps. In each step, an arm moves toward its folded pose; if it would come
+    too close to another arm, it waits or gives way, and the arms in its way also give way. For arms that remain, paths
+    of groups of up to four arms are searched in the space of their joint angles. Folded arms finally turn to the home
+    pose of the instrument. The paths are then simplified to few break points, and are proven (`Paths`).
+
+    Arms without a target move out of the way of other arms, and broken arms are obstacles. Where joint limits are not
+    known, theta turns by at most 180 deg from the home pose, and phi does not pass the extended pose.
+
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The n positioners.
+    arms : Arms, Allocation or Quantity, shape (n, 2)
+        The poses of the plan, as in `~rfpsurvey.find_collisions`; no arms may collide in these poses.
+    motion : JointMotion, optional
+        Ranges of joints that have no limits in ``focal_plane``, and speeds; by default, the ranges are unlimited.
+        Without a speed, the times refer to 10 deg / s.
+    step : Quantity, optional
+        Largest change of a joint angle in a step.
+    margin : Quantity, optional
+        Length that is added to the minimum separation while paths are planned, where the poses of the plan permit it.
+    rng : int, Generator or None, optional
+        Seed or generator of random numbers, on which the motions of arms that give way depend.
+
+    Returns
+    -------
+    Paths
+        The proven paths. Arms that do not arrive are listed in its attribute ``groups``.
+
+    Raises
+    ------
+    InputError
+        If arms with targets collide in the poses of the plan, if the poses belong to another focal plane, or if
+        ``step`` or ``margin`` is not a valid value.
+
+    See Also
+    --------
+    find_motion : Test a simple motion that needs no planned paths.
+
+    References
+    ----------
+    Kuffner and LaValle (2000), "RRT-Connect: An efficient approach to single-query path planning" (the search for
+    groups of arms); Sayres and coauthors (2021), AJ 161, 92 (a planner in short steps for SDSS-V).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
+    >>> targets = [[16, -12], [14, 12]] * u.mm
+    >>> rs.collision.find_motion(plane, targets).n_planner
+    2
+    >>> rs.collision.find_paths(plane, targets)
+    <Paths: 2 of 2 arms arrive in 23.4 s, smallest distance 4.043 mm>
     """
     check_plane(focal_plane)
     h = to_scalar(step, u.rad, "step", low=0)
@@ -54,8 +111,10 @@ def find_paths(
     posed = arms if isinstance(arms, Arms) else place_arms(focal_plane, arms)
     check_arms(focal_plane, posed)
     columns = focal_plane.arrays.using(posed.fiber)
-    ranges = joint_range(theta_range, "theta_range"), joint_range(phi_range, "phi_range")
-    prepared = arms_of(columns, posed, *ranges, gap)
+    motion = JointMotion() if motion is None else motion
+    if not isinstance(motion, JointMotion):
+        raise InputTypeError(f"motion must be a JointMotion, got {type(motion).__name__}")
+    prepared = arms_of(columns, posed, motion, gap)
     planner = _Planner(columns, prepared, h, generator)
     planner.fold_all()
     planner.search_groups()
@@ -70,12 +129,13 @@ def find_paths(
     theta = theta - prepared.theta_zero[owner]
     absent = np.isnan(prepared.bodies.x)[owner]
     theta[absent] = phi[absent] = np.nan
-    rate = to_scalar(ASSUMED_SPEED if speed is None else speed, u.rad / u.s, "speed", low=0)
+    speeds = [v for v in (motion.theta_speed, motion.phi_speed) if v is not None]
+    rate = min((v.to_value(u.rad / u.s) for v in speeds), default=ASSUMED_SPEED)
     meta = {
         "seed": int(rng) if isinstance(rng, int | np.integer) else None,
         "step_deg": float(np.rad2deg(h)),
         "speed_deg_s": float(np.rad2deg(rate)),
-        "speed_is_assumed": speed is None,
+        "speed_is_assumed": not speeds,
         "margin_mm": gap,
     }
     angles = (np.rad2deg(v) << u.deg for v in (theta, phi))
@@ -107,6 +167,7 @@ class _Planner:
         """Fold all arms in short steps; each attempt begins with the poses at the end of the attempt before."""
         prepared, limits = self.prepared, self.columns.limits
         for factor, wide, noise in STAGES:
+            before = self.theta.copy(), self.psi.copy(), int((self.remaining > SAME).sum())
             # the arms that are farthest from their folded poses decide first
             order = np.argsort(-self.remaining, kind="stable")
             h = self.step * factor
@@ -114,9 +175,13 @@ class _Planner:
             owner, when, where, n = path_steps.walk(
                 prepared.bodies, limits, prepared.around, self.theta, self.psi, order, h, *counts, wide, noise, self.rng
             )
+            left = int((self.remaining > SAME).sum())
+            if left == before[2]:  # an attempt that folds no arm only takes time
+                self.theta, self.psi = before[:2]
+                continue
             self.parts.append((owner, self.time + factor * when, *where))
             self.time += factor * n
-            if not (self.remaining > SAME).any():
+            if left == 0:
                 break
 
     def search_groups(self):
@@ -125,6 +190,9 @@ class _Planner:
         busy = np.full(len(self.theta), self.time)
         for i in np.flatnonzero(self.remaining > SAME):
             if self.remaining[i] <= SAME:
+                continue
+            if self._is_locked(i):
+                self.groups.append(([self.columns.plane.id[i]], "locked by obstacles and joint limits"))
                 continue
             row = around.near[around.start[i] : around.start[i + 1]]
             row = row[around.free[row]]
@@ -137,7 +205,7 @@ class _Planner:
                 if len(path):
                     break
             if len(path) == 0:
-                self.groups.append(members[:2])
+                self.groups.append(([self.columns.plane.id[k] for k in members[:2]], "no path was found"))
                 continue
             touched = np.unique(np.concatenate([around.near[around.start[k] : around.start[k + 1]] for k in group]))
             touched = np.append(touched, group)
@@ -149,6 +217,25 @@ class _Planner:
             busy[touched] = times[-1]
         self.time = busy.max()
 
+    def _is_locked(self, i) -> bool:
+        """Return whether arm i certainly has no path to its folded pose, even if all arms that can move are removed."""
+        prepared, limits, size = self.prepared, self.columns.limits, CELL
+        around, bodies = prepared.around, prepared.bodies
+        low = around.theta_low[i], around.phi_low[i]
+        cells = [
+            int(np.ceil((high - start) / size)) + 1
+            for high, start in ((around.theta_high[i], low[0]), (around.phi_high[i], low[1]))
+        ]
+        cyclic = around.theta_high[i] - low[0] > 2 * np.pi + size
+        # no point of the arm is farther from its position in the center of the cell
+        slack = 0.5 * size * max(bodies.l1[i] + 2 * bodies.reach[i], bodies.central)
+        segments, is_open = np.empty((4, len(self.theta) + 1)), np.empty(cells, dtype=bool)
+        path_steps.locate_all(bodies, prepared.theta, prepared.psi, segments)
+        path_search.mark_open(bodies, limits, around, i, low, size, slack, segments, is_open)
+        angles = self.theta[i] - low[0], self.psi[i] - self.theta[i] - low[1], around.fold[i] - low[1]
+        k, m, fold = (round(float(angle / size)) for angle in angles)
+        return not path_search.reaches_fold(is_open, cyclic, k, m, fold)
+
     def _distances(self, i, rows):
         segments, limits = np.empty((4, len(self.theta) + 1)), self.columns.limits
         path_steps.locate_all(self.prepared.bodies, self.theta, self.psi, segments)
@@ -158,7 +245,6 @@ class _Planner:
         """Turn the folded arms to the home pose, unless they would collide with arms that do not turn."""
         prepared, n = self.prepared, len(self.theta)
         turn = np.where(prepared.around.free & (self.remaining <= SAME), prepared.home - self.theta, 0.0)
-        pairs = self.columns.neighbors
         while turn.any():
             rows = np.arange(0, 2 * n, 2)
             ends = (np.column_stack([angle, angle + turn]).ravel() for angle in (self.theta, self.psi))

@@ -12,6 +12,8 @@ from rfpsurvey.errors import InputError
 
 WIDE = 3.0
 """Gap (mm) beyond which the poses of idle arms are not distinguished."""
+SMALL = np.deg2rad(2.0)
+"""Angle by which an initial pose may exceed the range of a joint; the range is then extended."""
 BENDS = np.deg2rad([0.0, 30.0, 60.0, 90.0, 120.0, 150.0])
 """Angles by which an idle arm is less folded, if its folded arm collides in all directions."""
 
@@ -27,52 +29,75 @@ class PathArms(NamedTuple):
     theta_zero: np.ndarray  # theta in the convention of the kernels minus the joint angle
     phi_zero: np.ndarray  # psi - theta minus the joint angle phi
     enclosed: np.ndarray  # idle arms that collide in all poses, and the arms with which they collide
+    beyond: np.ndarray  # arms whose poses are beyond the ranges of their joints
 
 
-def arms_of(columns, posed, theta_range, phi_range, margin: float) -> PathArms:
+def arms_of(columns, posed, motion, margin: float) -> PathArms:
     """Return the arms of a plan; ``columns`` are the arrays of the focal plane for the fibers in use.
 
-    ``theta_range`` and ``phi_range`` (rad, or None) are joint limits that are known in addition to those of the focal
-    plane. ``margin`` (mm) is added to the minimum separation where the initial poses permit it.
+    ``motion`` contains joint ranges, which apply where the focal plane has no limits. ``margin`` (mm) is added to the
+    minimum separation where the initial poses permit it.
     """
     n, owner, fiber = len(columns.plane), np.arange(len(columns.plane)), columns.fiber_index
     bodies, offset = bodies_of(columns, owner, fiber)
     idle = ~posed.assigned & (True if posed.recorded is None else ~posed.recorded)
     joints = np.where(idle, np.where(columns.is_stuck, columns.stuck.T, columns.home), (posed.theta, posed.phi))
-    theta, phi = (np.array(v, dtype=float) for v in columns.from_joints(*joints, owner, fiber))
-    phi = _moves.split_phi(columns, phi)
-    theta_zero, (*_, phi_zero) = theta - joints[0], _moves.phi_limits(columns, owner, fiber)
-    joint = _moves.joint_phi(columns, owner, fiber, phi)
-    low, high = _phi_ends(columns, owner, fiber, phi, phi_range)
-    fold = np.clip(joint + _moves.to_fold(columns, owner, fiber, phi, offset), low, high)
+    theta_zero, phi_zero = columns.from_joints(np.zeros(n), np.zeros(n), owner, fiber)
     home_theta, home_phi = columns.home
+    # From here, phi is the angle from the central arm to the axis of the eccentric arm, which is psi - theta.
+    phi = _moves.split_phi(columns, joints[1] + phi_zero) + offset
+    limits = _moves.limits_of(columns, owner, 1, "phi_range")
+    low, high = _ends(motion.phi_range, *(v + phi_zero + offset for v in limits))
+    # without limits, an arm does not pass its extended pose
+    unlimited = ~np.isfinite(low)
+    low = np.where(unlimited, np.where(np.signbit(phi - offset), -np.pi, 0.0) + np.minimum(offset, 0.0), low)
+    high = np.where(unlimited, low + np.pi + np.abs(offset), high)
+    phi = _within(phi, low, high)
+    # folded to pi or -pi, or as far as the limits permit; of equal ones, the pose that is nearer
+    folds = np.clip(np.pi * np.array([[1.0], [-1.0], [3.0]]), low, high)
+    rank = 100.0 * (np.cos(folds) > np.cos(folds).min(axis=0) + _moves.MUCH) + np.abs(folds - phi)
+    fold = np.take_along_axis(folds, rank.argmin(axis=0)[None], axis=0)[0]
     # the home pose replaces the folded pose if arms can turn there, too
-    at_home = np.where((home_phi >= low) & (home_phi <= high), home_phi, fold)
+    at_home = _within(home_phi + phi_zero + (offset if columns.joints is not None else 0.0), low, high)
+    at_home = np.where(np.abs(at_home - fold) < 1.0, np.clip(at_home, low, high), fold)
     central = np.zeros(n) if columns.plane.positioner.outline is None else np.full(n, bodies.central)
-    if len(_moves.touching(columns, _moves.extent(columns, at_home + phi_zero + offset, bodies.length), central)) == 0:
+    if len(_moves.touching(columns, _moves.extent(columns, at_home, bodies.length), central)) == 0:
         fold = at_home
     stays = _moves.stays_folded(columns, True) & idle
-    joint = np.where(stays, fold, joint)
-    low, high = np.minimum(low, np.minimum(joint, fold)), np.maximum(high, np.maximum(joint, fold))
-    theta_low, theta_high = _theta_ends(columns, owner, home_theta, theta_range)
-    # the joint angle of the initial pose, in the range of the joint
-    start = theta_low + np.mod(theta - theta_zero - theta_low + 1e-9, 2 * np.pi) - 1e-9
-    home = np.clip(theta_low + np.mod(home_theta - theta_low + 1e-9, 2 * np.pi) - 1e-9, theta_low, theta_high)
-    theta_low, theta_high = np.minimum(theta_low, start), np.maximum(theta_high, start)
-    zero = phi_zero + offset
-    theta, psi, fold = start + theta_zero, start + theta_zero + joint + zero, fold + zero
-    absent = ~np.isfinite(theta) | ~np.isfinite(psi)
+    phi = np.where(stays, fold, phi)
+    theta_low, theta_high = _ends(motion.theta_range, *_moves.limits_of(columns, owner, 0, "theta_range"))
+    # without limits, an arm turns by at most 180 deg from its home pose
+    unlimited = ~(np.isfinite(theta_low) & np.isfinite(theta_high))
+    theta_low = np.where(unlimited, home_theta - np.pi, theta_low) + theta_zero
+    theta_high = np.where(unlimited, home_theta + np.pi + theta_zero, theta_high + theta_zero)
+    theta = _within(joints[0] + theta_zero, theta_low, theta_high)
+    home = np.clip(_within(home_theta + theta_zero, theta_low, theta_high), theta_low, theta_high)
+    absent = ~np.isfinite(theta) | ~np.isfinite(phi)
+    beyond = columns.usable & ((theta > theta_high + SMALL) | (phi > high + SMALL))
+    theta_low, theta_high = np.minimum(theta_low, theta), np.maximum(theta_high, theta)
+    low, high = np.minimum(low, phi), np.maximum(high, phi)
     bodies.x[absent] = np.nan
-    theta, psi, fold = (np.where(absent, 0.0, v) for v in (theta, psi, fold))
-    around, enclosed = _surroundings(columns, bodies, theta, psi, fold, np.flatnonzero(stays & ~absent), margin)
-    around = around._replace(
-        theta_low=theta_low + theta_zero,
-        theta_high=theta_high + theta_zero,
-        phi_low=low + zero,
-        phi_high=high + zero,
-        free=columns.usable & ~absent & ~enclosed,
-    )
-    return PathArms(bodies, around, theta, psi, home + theta_zero, theta_zero, zero, enclosed)
+    theta, psi, fold = (np.where(absent, 0.0, v) for v in (theta, theta + phi, fold))
+    idle, ends = np.flatnonzero(stays & ~absent), (theta_low, theta_high)
+    around, enclosed = _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin)
+    free = columns.usable & ~absent & ~enclosed & ~beyond
+    limits = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
+    around = around._replace(**limits, free=free)
+    return PathArms(bodies, around, theta, psi, home, theta_zero, phi_zero + offset, enclosed, beyond)
+
+
+def _ends(given, low, high):
+    """Return joint limits; a given range (Quantity or None) applies to positioners without limits."""
+    if given is None:
+        return low, high
+    first, last = to_radian(given, "range")
+    return np.where(np.isfinite(low), low, first), np.where(np.isfinite(low), high, last)
+
+
+def _within(angle, low, high):
+    """Return angles in the 360 deg from ``low``, or from slightly below ``low`` if the range is smaller."""
+    slack = np.where(high - low > 2 * np.pi - SMALL, 1e-9, SMALL)
+    return low + np.mod(angle - low + slack, 2 * np.pi) - slack
 
 
 def bodies_of(columns, owner, fiber):
@@ -82,30 +107,13 @@ def bodies_of(columns, owner, fiber):
     offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else np.zeros(len(owner))
     length = np.full(len(owner), columns.length) if has_axis else g.l2.copy()
     inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(owner))
-    reach, central = (length.copy(), 0.0) if outline is None else (np.full(len(owner), outline.reach[0]), outline.reach[1])
+    reach, central = (
+        (length.copy(), 0.0) if outline is None else (np.full(len(owner), outline.reach[0]), outline.reach[1])
+    )
     return joint_motion.Bodies(g.cx.copy(), g.cy.copy(), g.l1.copy(), inner, length, reach, float(central)), offset
 
 
-def _phi_ends(columns, owner, fiber, phi, given):
-    """Return the joint limits of phi; an arm without limits does not pass its extended pose."""
-    low, high, zero = _moves.phi_limits(columns, owner, fiber)
-    if given is not None:
-        low, high = np.maximum(low, given[0]), np.minimum(high, given[1])
-    unlimited = ~np.isfinite(low)
-    low = np.where(unlimited, np.where(np.signbit(phi), -np.pi, 0.0) - zero, low)
-    return low, np.where(unlimited | ~np.isfinite(high), low + np.pi, high)
-
-
-def _theta_ends(columns, owner, home, given):
-    """Return the joint limits of theta; an arm without limits turns by at most 180 deg from its home pose."""
-    low, high = _moves.limits_of(columns, owner, 0, "theta_range")
-    if given is not None:
-        low, high = np.maximum(low, given[0]), np.minimum(high, given[1])
-    unlimited = ~np.isfinite(low) | ~np.isfinite(high)
-    return np.where(unlimited, home - np.pi, low), np.where(unlimited, home + np.pi, high)
-
-
-def _surroundings(columns, bodies, theta, psi, fold, idle, margin):
+def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
     """Choose the poses of idle arms, and return what each arm must avoid, and which arms are enclosed."""
     n, limits = len(theta), columns.limits
     start, near = _grouped(np.vstack([columns.neighbors, columns.neighbors[:, ::-1]]), n)
@@ -113,7 +121,7 @@ def _surroundings(columns, bodies, theta, psi, fold, idle, margin):
     path_steps.locate_all(bodies, theta, psi, segments)
     _check_start(columns, segments, idle)
     segments[:, idle] = np.nan
-    path_steps.place_idle(bodies, limits, start, near, idle, fold, BENDS, WIDE, theta, psi, segments, gap)
+    path_steps.place_idle(bodies, limits, start, near, idle, fold, BENDS, WIDE, *ends, theta, psi, segments, gap)
     enclosed = gap <= TOLERANCE
     for i in np.flatnonzero(enclosed):  # they and their neighbors have no proven path
         row = near[start[i] : start[i + 1]]
@@ -132,7 +140,16 @@ def _surroundings(columns, bodies, theta, psi, fold, idle, margin):
         clearance[k] = max(min(clearance[k], distance - 2 * TOLERANCE), columns.clearance)
     nothing = np.zeros(0)
     around = joint_motion.Surroundings(
-        start, near, separation, o_start, o_near, clearance, columns.obstacles, columns.clearance, *[nothing] * 4, fold,
+        start,
+        near,
+        separation,
+        o_start,
+        o_near,
+        clearance,
+        columns.obstacles,
+        columns.clearance,
+        *[nothing] * 4,
+        fold,
         enclosed,
     )
     return around, enclosed
@@ -154,11 +171,6 @@ def _check_start(columns, segments, idle):
         distance = path_steps.distance_at_rest(segments, limits, i, i, j, j, limits.separation + WIDE)
         if distance <= limits.separation + TOLERANCE:
             raise InputError(
-                f"the arms must not collide at the beginning of the paths, but the arms of the positioners {ids[i]} and "
+                f"the arms must not collide in the poses of the plan, but the arms of the positioners {ids[i]} and "
                 f"{ids[j]} collide; find_collisions lists all collisions"
             )
-
-
-def joint_range(value, name: str) -> np.ndarray | None:
-    """Return joint limits in radians, or None."""
-    return None if value is None else to_radian(value, name)

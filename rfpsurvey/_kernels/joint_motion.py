@@ -143,7 +143,9 @@ def outlines_come_near(bodies, outline, i, a, a_rate, p, p_rate, j, b, b_rate, q
         bx, by = elbow_at(bodies, j, b + t * b_rate)
         px, py = length * math.cos(p + t * p_rate), length * math.sin(p + t * p_rate)
         qx, qy = length * math.cos(q + t * q_rate), length * math.sin(q + t * q_rate)
-        squared = outlines_squared(outline, separation + ahead, i, j, ax, ay, ax + px, ay + py, bx, by, bx + qx, by + qy)
+        squared = outlines_squared(
+            outline, separation + ahead, i, j, ax, ay, ax + px, ay + py, bx, by, bx + qx, by + qy
+        )
         distance = math.sqrt(squared)
         gap = min(distance - separation, ahead)
         if not gap > TOLERANCE:
@@ -159,15 +161,13 @@ def outlines_come_near(bodies, outline, i, a, a_rate, p, p_rate, j, b, b_rate, q
 def come_near(bodies, limits, i, a, a_rate, p, p_rate, j, b, b_rate, q, q_rate, separation):
     """Call the function for outlines or segments; ``separation`` is that of ``limits``, or larger."""
     if limits.outline.start.size > 1:
-        return outlines_come_near(
-            bodies, limits.outline, i, a, a_rate, p, p_rate, j, b, b_rate, q, q_rate, separation
-        )
+        return outlines_come_near(bodies, limits.outline, i, a, a_rate, p, p_rate, j, b, b_rate, q, q_rate, separation)
     return segments_come_near(bodies, i, a, a_rate, p, p_rate, j, b, b_rate, q, q_rate, separation)
 
 
 @kernel
 def comes_near_obstacle(bodies, limits, i, a, a_rate, p, p_rate, obstacles, j, clearance):
-    """Return a distance of an arm from the edge of obstacle j that is at most ``clearance + TOLERANCE``, or infinity."""
+    """Return a distance of an arm from obstacle j that is at most ``clearance + TOLERANCE``, or infinity."""
     fast = speed_of(bodies, i, a_rate, p_rate)
     radius = obstacles[j, 2] if j < obstacles.shape[0] else 0.0
     inner, length = bodies.inner[i], bodies.length[i]
@@ -255,7 +255,7 @@ def keeps_apart(knots, bodies, limits, around, i):
 
 @kernel
 def thin(knots, i, tolerance, keep, stack):
-    """Mark the knots of arm i that are kept if no angle changes by more than ``tolerance`` (Douglas and Peucker 1973)."""
+    """Mark the knots of arm i that remain if angles change by at most ``tolerance`` (Douglas and Peucker 1973)."""
     first, last = knots.start[i], knots.stop[i] - 1
     keep[: last - first + 1] = False
     keep[0] = keep[last - first] = True

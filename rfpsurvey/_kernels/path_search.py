@@ -6,8 +6,8 @@ configurations and toward each other (RRT-Connect, Kuffner and LaValle 2000). Al
 
 The proof divides each angle into cells. If two arms can move from their initial poses to their folded poses without
 coming closer than the minimum separation D, then they can also move from the center of a cell to the center of a
-neighboring cell, and so on, and are never closer in these centers than D minus the largest distance of a point of an arm
-from its position in the center of the cell. If the cells that can be reached in this way do not contain the folded
+neighboring cell, and so on, and are never closer in these centers than D minus the largest distance of a point of an
+arm from its position in the center of the cell. If the cells that can be reached in this way do not contain the folded
 poses, there is no path.
 """
 
@@ -15,7 +15,7 @@ import math
 
 import numpy as np
 
-from rfpsurvey._kernels.collisions import segments_squared
+from rfpsurvey._kernels.collisions import obstacle_distance
 from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.path_steps import blocked_by, distance_at_rest, locate
 
@@ -25,13 +25,13 @@ OPEN, LOCKED, UNKNOWN = 0, 1, 2
 @kernel
 def is_free(bodies, limits, around, state, members, here, there, gaps):
     """Return whether the members can move from the configuration ``here`` to ``there`` at constant rates."""
-    theta, psi, rate, psi_rate, decided = state
+    theta, psi, rate, psi_rate, _ = state
     for k in range(members.size):
         i = members[k]
         theta[i], psi[i] = here[2 * k], here[2 * k] + here[2 * k + 1]
         rate[i] = there[2 * k] - here[2 * k]
         psi_rate[i] = rate[i] + there[2 * k + 1] - here[2 * k + 1]
-    for i in members:
+    for i in members:  # noqa: SIM110 (numba does not compile a generator here)
         if blocked_by(bodies, limits, around, state, i, rate[i], psi_rate[i], gaps) != -1:
             return False
     return True
@@ -88,17 +88,21 @@ def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
         for turn in range(2):
             side = tree if turn == 0 else 1 - tree
             k, far = nearest_node(nodes[side], count[side], point)
-            grown = False
+            grown, size_of_step = False, reach
             while count[side] < n_nodes - 1:
-                part = min(1.0, reach / far) if far > 0.0 else 1.0
+                part = min(1.0, size_of_step / far) if far > 0.0 else 1.0
                 for c in range(size):
                     new[c] = nodes[side, k, c] + part * (point[c] - nodes[side, k, c])
                 if not is_free(bodies, limits, around, state, members, nodes[side, k], new, gaps):
-                    break
+                    # in narrow passages, only short steps are possible
+                    size_of_step *= 0.25
+                    if grown or size_of_step < 0.03 * reach:
+                        break
+                    continue
                 nodes[side, count[side]], parent[side, count[side]] = new, k
                 k = count[side]
                 count[side] += 1
-                far -= reach
+                far -= part * far
                 grown = True
                 met = turn == 1 and part == 1.0
                 if turn == 0 or met:
@@ -134,6 +138,56 @@ def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
         if is_free(bodies, limits, around, state, members, path[first], path[last], gaps):
             path = np.concatenate((path[: first + 1], path[last:]))
     return path
+
+
+@kernel
+def mark_open(bodies, limits, around, i, low, size, slack, segments, is_open):
+    """Mark the cells of arm i in whose centers it is not closer than the required distances minus ``slack``.
+
+    Obstacles and arms that cannot move are considered. The center of cell (k, m) has theta = low[0] + k size and
+    psi - theta = low[1] + m size. The last column of ``segments`` is overwritten.
+    """
+    last = segments.shape[1] - 1
+    for k in range(is_open.shape[0]):
+        for m in range(is_open.shape[1]):
+            theta = low[0] + k * size
+            locate(bodies, theta, theta + low[1] + m * size, i, segments, last)
+            ends = segments[0, last], segments[1, last], segments[2, last], segments[3, last]
+            free = True
+            for n in range(around.o_start[i], around.o_start[i + 1]):
+                j = around.o_near[n]
+                radius = around.obstacles[j, 2] if j < around.obstacles.shape[0] else 0.0
+                free &= obstacle_distance(limits, around.obstacles, i, *ends, j) - radius >= around.required - slack
+            for n in range(around.start[i], around.start[i + 1]):
+                j = around.near[n]
+                if not around.free[j]:
+                    distance = distance_at_rest(segments, limits, last, i, j, j, limits.separation)
+                    free &= not distance < limits.separation - slack  # true for NaN
+            is_open[k, m] = free
+
+
+@kernel
+def reaches_fold(is_open, cyclic, k, m, fold):
+    """Return whether the open cells that are connected with the cell (k, m) contain a cell (any, fold)."""
+    n_theta, n_phi = is_open.shape
+    seen = ~is_open
+    stack = np.empty((n_theta * n_phi + 1, 2), np.int64)
+    stack[0, 0], stack[0, 1] = k, m
+    seen[k, m] = True
+    used = 1
+    while used > 0:
+        used -= 1
+        k, m = stack[used, 0], stack[used, 1]
+        if m == fold:
+            return True
+        for u, v in ((k - 1, m), (k + 1, m), (k, m - 1), (k, m + 1)):
+            if cyclic:
+                u %= n_theta
+            if 0 <= u < n_theta and 0 <= v < n_phi and not seen[u, v]:
+                seen[u, v] = True
+                stack[used, 0], stack[used, 1] = u, v
+                used += 1
+    return False
 
 
 @kernel

@@ -56,23 +56,49 @@ def blocked_by(bodies, limits, around, state, i, turn, psi_turn, gaps):
         if gaps[n - around.start[i]] - around.separation[n] > speed + other + TOLERANCE:
             continue
         b_rate, q_rate = (rate[j], psi_rate[j]) if decided[j] else (0.0, 0.0)
-        if come_near(
-            bodies, limits, i, theta[i], turn, psi[i], psi_turn, j, theta[j], b_rate, psi[j], q_rate,
-            around.separation[n],
-        ) < math.inf:
+        if (
+            come_near(
+                bodies,
+                limits,
+                i,
+                theta[i],
+                turn,
+                psi[i],
+                psi_turn,
+                j,
+                theta[j],
+                b_rate,
+                psi[j],
+                q_rate,
+                around.separation[n],
+            )
+            < math.inf
+        ):
             return j
     for n in range(around.o_start[i], around.o_start[i + 1]):
-        if comes_near_obstacle(
-            bodies, limits, i, theta[i], turn, psi[i], psi_turn, around.obstacles, around.o_near[n], around.clearance[n]
-        ) < math.inf:
+        if (
+            comes_near_obstacle(
+                bodies,
+                limits,
+                i,
+                theta[i],
+                turn,
+                psi[i],
+                psi_turn,
+                around.obstacles,
+                around.o_near[n],
+                around.clearance[n],
+            )
+            < math.inf
+        ):
             return -2
     return -1
 
 
 @kernel
 def nearness(bodies, limits, around, state, i, turn, psi_turn, segments, wide):
-    """Return the sum over the neighbors of arm i of 1 - gap / wide, squared, for gaps below ``wide`` (mm) after a motion."""
-    theta, psi, rate, psi_rate, decided = state
+    """Return the sum over the neighbors of arm i of (1 - gap / wide)^2, for gaps below ``wide`` (mm) after a motion."""
+    theta, psi, _, _, _ = state
     last = segments.shape[1] - 1
     locate(bodies, theta[i] + turn, psi[i] + psi_turn, i, segments, last)
     total = 0.0
@@ -162,7 +188,10 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                                 continue
                             cost = abs(off - bend) / step + noise * rng.random()
                             cost += nearness(bodies, limits, around, state, i, turn, turn + bend, segments, wide)
-                            if cost < lowest and blocked_by(bodies, limits, around, state, i, turn, turn + bend, gaps) == -1:
+                            if (
+                                cost < lowest
+                                and blocked_by(bodies, limits, around, state, i, turn, turn + bend, gaps) == -1
+                            ):
                                 lowest, rate[i], psi_rate[i] = cost, turn, turn + bend
                     pressed[i] = max(pressed[i] - 1, 0)
                 decided[i] = True
@@ -202,10 +231,11 @@ def keep_separations(segments, limits, start, near, margin, out):
 
 
 @kernel
-def place_idle(bodies, limits, start, near, rows, fold, bends, wide, theta, psi, segments, gap):
+def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, theta, psi, segments, gap):
     """Choose a pose of each of the idle arms ``rows``: folded if possible, and as far from other arms as possible.
 
-    Poses are tried in 24 directions from that of ``theta`` for each angle of ``bends`` by which the arm is less folded.
+    Poses are tried in 24 directions from that of ``theta``, within the limits ``low`` and ``high``, for each angle of
+    ``bends`` by which the arm is less folded.
     Gaps of ``wide`` or more are not distinguished. The poses, their segments and gaps are written to the last arrays;
     the segments of these arms must be NaN before.
     """
@@ -217,7 +247,9 @@ def place_idle(bodies, limits, start, near, rows, fold, bends, wide, theta, psi,
             for way in range(24):
                 if gap[i] >= wide:
                     break
-                a = home + way * math.pi / 12.0
+                a = low[i] + (home + way * math.pi / 12.0 - low[i]) % (2.0 * math.pi)
+                if a > high[i]:
+                    continue
                 p = a + fold[i] - math.copysign(bend, fold[i])
                 locate(bodies, a, p, i, segments, last)
                 least = wide
