@@ -29,6 +29,7 @@ COMMANDS = {
     "diff": "List the tiles and fibers that differ between two plans of a survey, and the reasons.",
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
+    "paths": "Plan paths of all arms between the folded poses and a plan, and prove that no arms collide.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
     "potential": "Find the tiles and positioners that reach each point of a catalog of random points.",
     "probability": "Estimate the probability that arms collide, with a confidence interval.",
@@ -48,7 +49,7 @@ MODULES = {
     **dict.fromkeys(("compare-allocators", "benchmark"), "compare"),
     **dict.fromkeys(("instruments", "probability"), "plan"),
     **dict.fromkeys(("diff", "record", "status"), "survey"),
-    **dict.fromkeys(("convert", "score"), "tile"),
+    **dict.fromkeys(("convert", "paths", "score"), "tile"),
     "potential": "select",
 }
 """Modules of the commands that share a module with the command of its name."""

@@ -115,14 +115,14 @@ def check_outputs(output, inputs: Iterable = (), writable: Iterable[str] | None 
     ``output`` contains the keys of the outputs, and ``inputs`` the paths of inputs, which outputs must not replace;
     values that are not paths are ignored. If ``writable`` is None, the library checks the table.
     """
-    path, quality = getattr(output, "path", None), getattr(output, "quality", None)
-    check_separate((path, output.plot, output.report, quality), inputs)
+    path, plot, report, quality = (getattr(output, name, None) for name in ("path", "plot", "report", "quality"))
+    check_separate((path, plot, report, quality), inputs)
     if path is not None and writable is not None:
         check_output(path, writable, overwrite=output.overwrite)
-    for figure in (output.plot, quality):
+    for figure in (plot, quality):
         if figure is not None:
             check_output(figure, PICTURES, overwrite=output.overwrite)
-    if output.report is not None:
+    if report is not None:
         rs.report.check_report(output.report, overwrite=output.overwrite)
 
 

@@ -15,7 +15,7 @@ from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.descriptions import help_of
-from rfpsurvey._common.outputs import check_parent, check_separate
+from rfpsurvey._common.outputs import WRITABLE, check_parent, check_separate
 from rfpsurvey._field.plan_files import read_plan, write_plan
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._sky.region import Region
@@ -245,10 +245,17 @@ def score(keys: ScoreKeys, _: Given) -> None:
         --set catalog.select.design_id=503246 --set equinox=J2022.0
     rfpsurvey score tile.fits --constraint sky=20/spectrograph
     """
+    tile, _ = _scored(keys)
+    _print.finish(tile, keys.output)
+    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+
+
+def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.Tile", "rs.Instrument"]:
+    """Return the plan of a file as a tile, and its instrument, after a check of the paths of all outputs."""
     path = keys.catalog.path
     if path is None:
-        raise rs.InputError("catalog.path must be given: the file of the plan to score")
-    _app.check_outputs(keys.output, (path, keys.instrument.name, keys.instrument.broken))
+        raise rs.InputError("catalog.path must be given: the file of the plan")
+    _app.check_outputs(keys.output, (path, keys.instrument.name, keys.instrument.broken), writable)
     table = _app.read_assignment(keys.catalog)
     options = {name: getattr(keys, name) for name in ("positions", "epoch", "missing", "parked_obstacles")}
     if keys.center is None:
@@ -265,9 +272,66 @@ def score(keys: ScoreKeys, _: Given) -> None:
     constraints = keys.options.constraints
     if keys.options.rules is not None:
         constraints = [*(constraints or ()), *model.rules(keys.options.rules)]
-    tile = rs.score_tile(table, model, **options, constraints=constraints)
-    _print.finish(tile, keys.output)
-    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+    return rs.score_tile(table, model, **options, constraints=constraints), model
+
+
+@dataclass(frozen=True, kw_only=True)
+class PathsKeys(ScoreKeys):
+    """The keys of the command.
+
+    Parameters
+    ----------
+    step : Quantity, optional
+        Largest change of a joint angle in a step of the planner.
+    margin : Quantity, optional
+        Length that is added to the minimum separation while paths are planned.
+    seed : int, optional
+        Seed of random numbers.
+    examine : bool, optional
+        Examine whether arms without a path are certainly interlocked; this can take a minute per group of arms.
+    """
+
+    output: key_groups.FileKeys
+    step: u.Quantity[u.deg] = 1 * u.deg
+    margin: u.Quantity[u.mm] = 0.05 * u.mm
+    seed: int = 1
+    examine: bool = False
+
+
+@command(
+    PathsKeys,
+    "instrument.name center position_angle step margin seed examine output.path output.overwrite",
+    argument="catalog.path",
+)
+def paths(keys: PathsKeys, _: Given) -> None:
+    r"""Plan paths of all arms between the folded poses and a plan, and prove that no arms collide.
+
+    The plan is a tile, or a plan of another program. The output file contains the motion from the folded poses to the
+    plan, and its exact reversal.
+
+    Examples
+    --------
+    rfpsurvey paths tile.fits --output paths.ecsv
+    rfpsurvey paths confSummary-26.par.gz --output paths.fits
+    rfpsurvey paths plan.ecsv --instrument sdss_apo --examine
+    """
+    tile, model = _scored(keys, (*WRITABLE, ".parquet"))
+    made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.seed, examine=keys.examine)
+    if keys.output.path is not None:
+        made.write(keys.output.path, overwrite=keys.output.overwrite)
+    n = int(made.assigned.sum())
+    speed = f"{made.meta['speed_deg_s']:.4g} deg / s" + ", which is assumed" * made.meta["speed_is_assumed"]
+    print(f"{made.n_arriving} of {n} arms with a target reach it ({made.n_arriving / max(n, 1):.2%})")
+    print(f"duration {made.duration.to_value(u.s):.1f} s, at a speed of the joints of {speed}")
+    separation = model.focal_plane.arrays.separation
+    _print.print_text(
+        f"smallest distance of two arms {made.smallest_distance.to_value(u.mm):.3f} mm, minimum separation "
+        f"{separation:.3f} mm (proven at all times)"
+    )
+    for ids, reason in made.groups:
+        _print.print_text(f"{', '.join(ids)}: {reason}")
+    if keys.output.path is not None:
+        print(f"{keys.output.path}: {len(made.time)} break points of {len(made.arrives)} arms")
 
 
 def _time_of(table, epoch: object) -> Time | None:

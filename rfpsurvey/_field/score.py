@@ -12,7 +12,7 @@ from astropy.time import Time
 from rfpsurvey._assignment.constraints.constraint import Constraint
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._assignment.plugin import warn_of_parked
-from rfpsurvey._common.units import rows_of, to_flags, to_plain
+from rfpsurvey._common.units import rows_of, to_flags, to_plain, to_radian
 from rfpsurvey._field.facts import build_tile
 from rfpsurvey._field.plan import find_all_collisions
 from rfpsurvey._field.plan_files import format_of, is_plan, plan_roles
@@ -21,8 +21,10 @@ from rfpsurvey._field.table import TableOfTile, status_of
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._field.verdicts import find_constraints
 from rfpsurvey._instruments.arms import place_arms
+from rfpsurvey._instruments.find_paths import find_paths
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey._instruments.paths import Paths
 from rfpsurvey._instruments.reach import accepted_types
 from rfpsurvey._sky.columns import UNITS, Finder
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
@@ -133,7 +135,7 @@ def score_tile(
     start = perf_counter()
     check_conditions(conditions, optional=True)
     check_choice(missing, ("refuse", "skip"), "treatment of rows without a position")
-    instrument = _preset_of(table) if instrument is None else as_instrument(instrument)
+    instrument = preset_of(table) if instrument is None else as_instrument(instrument)
     knows_field = isinstance(table, Tile)
     table, is_plain = as_table(table.table if knows_field else table, index_as_id=False)
     parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
@@ -230,7 +232,7 @@ def score_tile(
     return build_tile(tile, summary, parameters, meta)
 
 
-def _preset_of(tile: object) -> Instrument:
+def preset_of(tile: object) -> Instrument:
     """Return the preset with which a tile was made; raise an error for other instruments, and for tables."""
     if not isinstance(tile, Tile):
         raise InputError("instrument must be given, because a table does not contain its instrument, got none")
@@ -353,3 +355,18 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
             )
         warn(f"{where} have no finite position and are skipped {who}")
     return np.flatnonzero(has_place)
+
+
+def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object) -> Paths:
+    """Return the paths to the poses of a tile; see `Tile.paths`."""
+    instrument = preset_of(tile) if instrument is None else as_instrument(instrument)
+    plane, table = instrument.focal_plane, tile.table
+    if not np.array_equal(np.asarray(table["id"]).astype(str), plane.id.astype(str)):
+        raise InputError(f"the tile must belong to the {len(plane)} positioners of {instrument.name}, got other ids")
+    status, angles = to_plain(table["status"]), [to_radian(table[name], name) for name in ("theta", "phi")]
+    posed = np.isin(status, ("assigned", "out_of_reach"))
+    given = (np.where(posed, angle, np.nan) << u.rad for angle in angles)
+    types = {"fiber_type": table["fiber_type"]} if "fiber_type" in table.colnames else {}
+    idle = np.where(status == "recorded", angles, np.nan)
+    arms = place_arms(plane, **dict(zip(("theta", "phi"), given, strict=True)), **types, idle_angles=idle)
+    return find_paths(plane, arms, motion=instrument.motion, **options)

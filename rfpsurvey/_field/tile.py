@@ -335,6 +335,30 @@ class Tile:
         """
         return show(self, plans=plans, height=height)
 
+    def paths(self, instrument: object = None, **options: object) -> object:
+        """Plan paths of all arms between the folded poses and the plan; see `rfpsurvey.collision.find_paths`.
+
+        Parameters
+        ----------
+        instrument : Instrument or str, optional
+            The instrument; by default, the preset with which the tile was made.
+        **options
+            Parameters of `rfpsurvey.collision.find_paths`, such as ``step`` and ``rng``.
+
+        Returns
+        -------
+        Paths
+            The proven paths.
+
+        Raises
+        ------
+        InputError
+            If the instrument must be given, or has other positioners, or if arms collide in the plan.
+        """
+        from rfpsurvey._field.score import paths_of  # scoring imports this module
+
+        return paths_of(self, instrument, **options)
+
     def __len__(self):
         return self.summary["n_positioners"] if isinstance(self._made_from, TableOfTile) else len(self.table)
 

@@ -10,10 +10,12 @@ from rfpsurvey._instruments.joint_motion import JointMotion
 from rfpsurvey._instruments.path_arms import PathArms, arms_of
 from rfpsurvey._instruments.paths import Paths, near_obstacles, near_pairs
 from rfpsurvey._kernels import joint_motion, path_search, path_steps
-from rfpsurvey.errors import InputTypeError, check_keywords
+from rfpsurvey._kernels.motion import TOLERANCE
+from rfpsurvey.errors import InputTypeError, check_keywords, check_switch
 
-STAGES = ((1.0, 2.0, 0.3), (1.0, 4.0, 1.0), (2.0, 2.0, 0.3), (0.5, 6.0, 3.0))
-"""Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost."""
+STAGES = ((1.0, 2.0, 0.3, True), (1.0, 2.0, 0.3, False), (1.0, 4.0, 1.0, False), (2.0, 2.0, 0.3, False))
+"""Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost, and
+whether the margin is kept."""
 PATIENCE = np.deg2rad(40.0)
 """An attempt ends if the arms fold no further while an arm could turn by this angle."""
 PRESSED = np.deg2rad(20.0)
@@ -28,6 +30,8 @@ GROUP = 4
 """Largest number of arms whose joint space is searched."""
 CELL = np.deg2rad(1.0)
 """Size of the cells with which it is proven that an arm has no path."""
+PAIR_CELL, MOST_STATES = np.deg2rad(2.0), 20_000_000
+"""Size of the cells with which it is proven that two arms have no paths, and largest number of examined states."""
 REACH, N_NODES = np.deg2rad(10.0), 6_000
 """Largest change of an angle between two nodes of a search, and largest number of nodes."""
 TOLERANCES = np.deg2rad([16.0, 8.0, 4.0, 2.0, 1.0, 0.5])
@@ -43,6 +47,7 @@ def find_paths(
     step: u.Quantity = 1 * u.deg,
     margin: u.Quantity = 0.05 * u.mm,
     rng: int | np.random.Generator | None = 1,
+    examine: bool = False,
 ) -> Paths:
     """Plan paths on which all arms fold without collisions; the reversed paths lead from the folded poses to the plan.
 
@@ -69,6 +74,9 @@ def find_paths(
         Length that is added to the minimum separation while paths are planned, where the poses of the plan permit it.
     rng : int, Generator or None, optional
         Seed or generator of random numbers, on which the motions of arms that give way depend.
+    examine : bool, optional
+        Whether to examine, for each group without a path, whether the two arms that are nearest to each other are
+        certainly interlocked. This can take a minute per group.
 
     Returns
     -------
@@ -100,7 +108,7 @@ def find_paths(
     >>> rs.collision.find_motion(plane, targets).n_planner
     2
     >>> rs.collision.find_paths(plane, targets)
-    <Paths: 2 of 2 arms arrive in 23.4 s, smallest distance 4.043 mm>
+    <Paths: 2 of 2 arms with a target arrive in 23.4 s, smallest distance 4.043 mm>
     """
     check_plane(focal_plane)
     h = to_scalar(step, u.rad, "step", low=0)
@@ -117,7 +125,7 @@ def find_paths(
     prepared = arms_of(columns, posed, motion, gap)
     planner = _Planner(columns, prepared, h, generator)
     planner.fold_all()
-    planner.search_groups()
+    planner.search_groups(check_switch(examine, "examine"))
     planner.turn_home()
     knots = planner.knots()
     joint_motion.simplify(knots, prepared.bodies, columns.limits, prepared.around, TOLERANCES)
@@ -141,7 +149,12 @@ def find_paths(
     angles = (np.rad2deg(v) << u.deg for v in (theta, phi))
     arrives = prepared.around.free & (planner.remaining <= SAME)
     time = knots.time[rows] * (h / rate) << u.s
-    return Paths(focal_plane, start, time, *angles, arrives, columns.fiber_index, tuple(planner.groups), meta)
+    groups = (
+        *(([str(i)], "an arm without a target collides in all poses") for i in columns.plane.id[prepared.enclosed]),
+        *(([str(i)], "the pose is beyond the range of a joint") for i in columns.plane.id[prepared.beyond]),
+        *planner.groups,
+    )
+    return Paths(focal_plane, start, time, *angles, arrives, posed.assigned, columns.fiber_index, groups, meta)
 
 
 class _Planner:
@@ -151,6 +164,11 @@ class _Planner:
         self.columns, self.prepared, self.step, self.rng = columns, prepared, step, rng
         self.theta, self.psi = prepared.theta.copy(), prepared.psi.copy()
         self.time, self.parts, self.groups = 0.0, [], []
+        around, limits = prepared.around, columns.limits
+        self.closer = around._replace(  # without the margin, but with enough distance for the proof
+            separation=np.minimum(around.separation, limits.separation + 2 * TOLERANCE),
+            clearance=np.minimum(around.clearance, around.required + 2 * TOLERANCE),
+        )
         self._add(np.arange(len(self.theta)), 0.0)
 
     @property
@@ -166,14 +184,15 @@ class _Planner:
     def fold_all(self):
         """Fold all arms in short steps; each attempt begins with the poses at the end of the attempt before."""
         prepared, limits = self.prepared, self.columns.limits
-        for factor, wide, noise in STAGES:
+        for factor, wide, noise, with_margin in STAGES:
+            around = prepared.around if with_margin else self.closer
             before = self.theta.copy(), self.psi.copy(), int((self.remaining > SAME).sum())
             # the arms that are farthest from their folded poses decide first
             order = np.argsort(-self.remaining, kind="stable")
             h = self.step * factor
             counts = (int(np.ceil(angle / h)) for angle in (MOST, PATIENCE, PRESSED))
             owner, when, where, n = path_steps.walk(
-                prepared.bodies, limits, prepared.around, self.theta, self.psi, order, h, *counts, wide, noise, self.rng
+                prepared.bodies, limits, around, self.theta, self.psi, order, h, *counts, wide, noise, self.rng
             )
             left = int((self.remaining > SAME).sum())
             if left == before[2]:  # an attempt that folds no arm only takes time
@@ -184,15 +203,15 @@ class _Planner:
             if left == 0:
                 break
 
-    def search_groups(self):
+    def search_groups(self, examine: bool):
         """Search paths of small groups for the arms that are not folded; distant groups move at the same time."""
-        prepared, around = self.prepared, self.prepared.around
+        prepared, around = self.prepared, self.closer
         busy = np.full(len(self.theta), self.time)
         for i in np.flatnonzero(self.remaining > SAME):
             if self.remaining[i] <= SAME:
                 continue
             if self._is_locked(i):
-                self.groups.append(([self.columns.plane.id[i]], "locked by obstacles and joint limits"))
+                self.groups.append(([str(self.columns.plane.id[i])], "locked by obstacles and joint limits"))
                 continue
             row = around.near[around.start[i] : around.start[i + 1]]
             row = row[around.free[row]]
@@ -205,7 +224,9 @@ class _Planner:
                 if len(path):
                     break
             if len(path) == 0:
-                self.groups.append(([self.columns.plane.id[k] for k in members[:2]], "no path was found"))
+                proven = examine and len(members) > 1 and self._are_interlocked(i, members[1])
+                reason = "the two arms are interlocked" if proven else "no path was found"
+                self.groups.append(([str(self.columns.plane.id[k]) for k in members[:2]], reason))
                 continue
             touched = np.unique(np.concatenate([around.near[around.start[k] : around.start[k + 1]] for k in group]))
             touched = np.append(touched, group)
@@ -219,22 +240,38 @@ class _Planner:
 
     def _is_locked(self, i) -> bool:
         """Return whether arm i certainly has no path to its folded pose, even if all arms that can move are removed."""
-        prepared, limits, size = self.prepared, self.columns.limits, CELL
+        is_open, _, _, (k, m), fold = self._cells_of(i, CELL)
+        return not path_search.reaches_fold(is_open, k, m, fold)
+
+    def _are_interlocked(self, i, j) -> bool:
+        """Return whether the arms i and j certainly have no paths, even if all other arms that can move are removed."""
+        limits = self.columns.limits
+        is_open, cells, slack, begin, folds = zip(*(self._cells_of(k, PAIR_CELL) for k in (i, j)), strict=True)
+        separation = limits.separation - sum(slack)
+        first = tuple(k * flags.shape[1] + m for (k, m), flags in zip(begin, is_open, strict=True))
+        return (
+            separation > 0.0
+            and path_search.reach_fold_together(
+                np.hstack(cells), limits, i, j, *is_open, first, folds, separation, MOST_STATES
+            )
+            == path_search.LOCKED
+        )
+
+    def _cells_of(self, i, size):
+        """Return flags of open cells of arm i, all cells, the slack of distances, and the cells of pose and fold."""
+        prepared, limits = self.prepared, self.columns.limits
         around, bodies = prepared.around, prepared.bodies
         low = around.theta_low[i], around.phi_low[i]
-        cells = [
-            int(np.ceil((high - start) / size)) + 1
-            for high, start in ((around.theta_high[i], low[0]), (around.phi_high[i], low[1]))
-        ]
-        cyclic = around.theta_high[i] - low[0] > 2 * np.pi + size
+        ends = (around.theta_high[i], low[0]), (around.phi_high[i], low[1])
+        is_open = np.empty([int(np.ceil((high - start) / size - 1e-9)) + 1 for high, start in ends], dtype=bool)
         # no point of the arm is farther from its position in the center of the cell
         slack = 0.5 * size * max(bodies.l1[i] + 2 * bodies.reach[i], bodies.central)
-        segments, is_open = np.empty((4, len(self.theta) + 1)), np.empty(cells, dtype=bool)
+        segments, cells = np.empty((4, len(self.theta) + 1)), np.empty((4, is_open.size))
         path_steps.locate_all(bodies, prepared.theta, prepared.psi, segments)
-        path_search.mark_open(bodies, limits, around, i, low, size, slack, segments, is_open)
+        path_search.mark_open(bodies, limits, around, i, low, size, slack, segments, cells, is_open)
         angles = self.theta[i] - low[0], self.psi[i] - self.theta[i] - low[1], around.fold[i] - low[1]
         k, m, fold = (round(float(angle / size)) for angle in angles)
-        return not path_search.reaches_fold(is_open, cyclic, k, m, fold)
+        return is_open, cells, slack, (k, m), fold
 
     def _distances(self, i, rows):
         segments, limits = np.empty((4, len(self.theta) + 1)), self.columns.limits

@@ -1,7 +1,7 @@
 """Paths of all arms, with the proof that no arms collide on them."""
 
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import astropy.units as u
@@ -10,8 +10,9 @@ from astropy.table import QTable, Table, vstack
 
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_tables import read_table
-from rfpsurvey._common.units import check_columns, to_plain, to_radian, to_unit
+from rfpsurvey._common.read_parquet import import_parquet
+from rfpsurvey._common.read_tables import has_ending, read_table, to_path
+from rfpsurvey._common.units import check_columns, to_flags, to_plain, to_radian, to_unit
 from rfpsurvey._instruments import moves as _moves
 from rfpsurvey._instruments.arms import check_plane
 from rfpsurvey._instruments.focal_plane import FocalPlane
@@ -23,7 +24,7 @@ BEYOND = 1.0
 """Distances that exceed the minimum separation by more than this (mm) are not distinguished."""
 WITHIN = 1e-3
 """Largest error (mm) of the smallest distance."""
-COLUMNS = ("motion", "positioner", "time", "theta", "phi")
+COLUMNS = ("motion", "positioner", "time", "theta", "phi", "arrives", "assigned")
 """Columns of a table of paths that must exist."""
 
 
@@ -48,6 +49,8 @@ class Paths:
         Joint angles; phi is that of the fiber in ``fiber``. The angles are NaN for arms that are absent.
     arrives : ndarray of bool, shape (n,)
         Whether each arm that can move is folded at the end.
+    assigned : ndarray of bool, shape (n,)
+        Whether each positioner has a target.
     fiber : ndarray of int, shape (n,)
         Index in ``focal_plane.fiber_types`` of the fiber type that each positioner uses.
     groups : tuple of (list of str, str), optional
@@ -68,7 +71,7 @@ class Paths:
     >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
     >>> paths = rs.collision.find_paths(plane, [[16, -12], [14, 12]] * u.mm)
     >>> paths
-    <Paths: 2 of 2 arms arrive in 23.4 s, smallest distance 4.043 mm>
+    <Paths: 2 of 2 arms with a target arrive in 23.4 s, smallest distance 4.043 mm>
     """
 
     focal_plane: FocalPlane
@@ -77,6 +80,7 @@ class Paths:
     theta: u.Quantity
     phi: u.Quantity
     arrives: np.ndarray
+    assigned: np.ndarray
     fiber: np.ndarray
     groups: tuple = ()
     meta: dict = field(default_factory=dict)
@@ -105,8 +109,8 @@ class Paths:
         if beyond.any():
             n = number_of(int(beyond.sum()), "arm")
             raise InputError(
-                f"the joint angles of a path must be within the joint limits, but {n} exceed them; the first is that of "
-                f"the positioner {ids[int(np.argmax(beyond))]}"
+                f"the joint angles of a path must be within the joint limits, but {n} exceed them; the first is that "
+                f"of the positioner {ids[int(np.argmax(beyond))]}"
             )
 
     @cached_property
@@ -151,8 +155,8 @@ class Paths:
 
     @property
     def n_arriving(self) -> int:
-        """Number of arms that are folded at the end."""
-        return int(self.arrives.sum())
+        """Number of arms with a target that are folded at the end."""
+        return int((self.arrives & self.assigned).sum())
 
     @property
     def duration(self) -> u.Quantity:
@@ -183,24 +187,22 @@ class Paths:
         """Table with a row for each break point of each arm, of the motion to the plan and of the motion to the folds.
 
         Columns: ``motion`` (``unfold``: from the folded poses to the plan; ``fold``: the exact reversal),
-        ``positioner`` (identifier), ``fiber_type`` (if there are several), ``time`` (s), ``theta``, ``phi`` (deg) and
-        ``arrives``. Arms that are absent have no rows.
+        ``positioner`` (identifier), ``fiber_type`` (if there are several), ``time`` (s), ``theta``, ``phi`` (deg),
+        ``arrives`` and ``assigned``. The angles of arms that are absent are NaN.
         """
         owner, plane = self._owner, self.focal_plane
         columns = {"positioner": np.asarray(plane.id)[owner]}
         if len(plane.fiber_types) > 1:
             columns["fiber_type"] = np.array(plane.fiber_types)[self.fiber][owner]
         columns |= {"time": self.time.to(u.s), "theta": self.theta.to(u.deg), "phi": self.phi.to(u.deg)}
-        columns["arrives"] = self.arrives[owner]
-        present = np.isfinite(self.theta)
-        fold = QTable({"motion": np.full(len(owner), "fold"), **columns})[present]
-        order = np.argsort(owner[present][::-1], kind="stable")
+        columns |= {"arrives": self.arrives[owner], "assigned": self.assigned[owner]}
+        fold = QTable({"motion": np.full(len(owner), "fold"), **columns})
+        order = np.argsort(owner[::-1], kind="stable")
         unfold = fold[::-1][order]
         unfold["motion"] = np.full(len(unfold), "unfold")
         unfold["time"] = self.duration.to(u.s) - unfold["time"]
         table = vstack([unfold, fold])
-        table.meta = {**self.meta, "absent": [str(plane.id[i]) for i in np.unique(owner[~present])]}
-        table.meta["groups"] = [[*map(str, ids), reason] for ids, reason in self.groups]
+        table.meta = {**self.meta, "groups": [[*ids, reason] for ids, reason in self.groups]}
         return table
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
@@ -218,7 +220,12 @@ class Paths:
         InputError
             If the folder does not exist, or if the file exists and ``overwrite`` is False.
         """
-        _io.write_table(self.table, path, overwrite=overwrite, name="PATHS")
+        if not has_ending(to_path(path), (".parquet",)):
+            _io.write_table(self.table, path, overwrite=overwrite, name="PATHS")
+            return
+        import_parquet()
+        with _io.writing_to(path, (".parquet",), overwrite=overwrite) as new_path:
+            self.table.write(new_path, format="parquet")
 
     @classmethod
     def read(cls, path: str | os.PathLike, focal_plane: FocalPlane) -> "Paths":
@@ -250,7 +257,7 @@ class Paths:
         Parameters
         ----------
         table : Table
-            Table with the columns of `table`; ``fiber_type`` and ``arrives`` are optional.
+            Table with the columns of `table`; ``fiber_type`` is optional.
         focal_plane : FocalPlane
             The positioners.
 
@@ -269,7 +276,7 @@ class Paths:
         motion = to_plain(table["motion"], "motion").astype(str)
         both = [cls._from_rows(table[motion == name], focal_plane, name, table.meta) for name in ("fold", "unfold")]
         back = both[1]._reversed()
-        if not (np.array_equal(back.start, both[0].start) and all(_close(both[0], back, k) for k in COLUMNS[2:])):
+        if not (np.array_equal(back.start, both[0].start) and all(_close(both[0], back, k) for k in COLUMNS[2:5])):
             raise InputError("the motion unfold must be the exact reversal of the motion fold")
         return both[0]
 
@@ -285,47 +292,50 @@ class Paths:
                 f"the paths must belong to the {len(plane)} positioners of the focal plane, which has no positioners "
                 f"{listed(unknown[:5])}"
             )
-        absent = {str(key) for key in meta.get("absent", ())}
-        missing = sorted(set(rows) - set(given) - absent)
+        missing = sorted(set(rows) - set(given))
         if missing:
             raise InputError(f"the paths must contain all positioners; {listed(missing[:5])} are missing")
         owner = np.array([rows[key] for key in given])
-        values = [to_unit(table[key], unit, key) for key, unit in zip(COLUMNS[2:], (u.s, u.rad, u.rad), strict=True)]
-        gone = np.repeat([rows[key] for key in absent], 2).astype(int)
-        owner = np.append(owner, gone)
-        last = values[0].max()
-        added = np.tile([0.0, last], len(absent)), np.full(len(gone), np.nan), np.full(len(gone), np.nan)
-        time, theta, phi = (np.append(v, more) for v, more in zip(values, added, strict=True))
+        units = u.s, u.rad, u.rad
+        time, theta, phi = (_to_unit(table[key], unit, key) for key, unit in zip(COLUMNS[2:5], units, strict=True))
         order = np.lexsort((time, owner))
         start = np.searchsorted(owner[order], np.arange(len(plane) + 1))
         first = order[start[:-1]]
-        fiber, arrives = plane.arrays.first_index, np.ones(len(plane), dtype=bool)
-        known = first < len(given)
+        arrives, assigned = (to_flags(table[key], key)[first] for key in COLUMNS[5:])
+        lost = owner[np.isnan(theta) | np.isnan(phi)]
+        lost = lost[(arrives | assigned)[lost]]
+        if len(lost):
+            raise InputError(f"the angles of arms with a target must be numbers, got NaN for {plane.id[lost[0]]}")
+        fiber = plane.arrays.first_index
         if "fiber_type" in table.colnames:
-            names = np.append(to_plain(table["fiber_type"], "fiber_type").astype(str), np.full(len(gone), ""))
-            fiber = plane.arrays.index_of(names[first])
-        if "arrives" in table.colnames:
-            arrives = np.append(np.asarray(table["arrives"], dtype=bool), np.zeros(len(gone), dtype=bool))[first]
+            fiber = plane.arrays.index_of(to_plain(table["fiber_type"], "fiber_type").astype(str)[first])
         angles = (np.rad2deg(v[order]) << u.deg for v in (theta, phi))
-        return cls(plane, start, time[order] << u.s, *angles, arrives & known, fiber, meta=dict(meta))
+        groups = tuple((ids, reason) for *ids, reason in meta.get("groups", ()))
+        return cls(plane, start, time[order] << u.s, *angles, arrives, assigned, fiber, groups, dict(meta))
 
     def _reversed(self):
         """Return the same paths in the opposite direction."""
         owner = self._owner[::-1]
         order = np.argsort(owner, kind="stable")
         time, theta, phi = (v[::-1][order] for v in (self.duration - self.time, self.theta, self.phi))
-        return Paths(self.focal_plane, self.start, time, theta, phi, self.arrives, self.fiber, self.groups, self.meta)
+        return replace(self, time=time, theta=theta, phi=phi)
 
     def _repr_html_(self) -> str:
-        facts = {"arms that arrive": self.n_arriving, "duration": self.duration}
+        facts = {"arms with a target that arrive": self.n_arriving, "duration": self.duration}
         return to_html(self, {**facts, "smallest distance": self.smallest_distance}, self.table)
 
     def __repr__(self):
-        n = int(self._columns.usable.sum())
+        n = number_of(int((self.assigned & self._columns.usable).sum()), "arm")
         return (
-            f"<Paths: {self.n_arriving} of {number_of(n, 'arm')} arrive in {self.duration.to_value(u.s):.1f} s, "
+            f"<Paths: {self.n_arriving} of {n} with a target arrive in {self.duration.to_value(u.s):.1f} s, "
             f"smallest distance {self.smallest_distance.to_value(u.mm):.3f} mm>"
         )
+
+
+def _to_unit(column, unit, name):
+    """Return the values of a column in a unit; a column of a file without units is in s or deg."""
+    known = getattr(column, "unit", None) is not None
+    return to_unit(column if known else np.asarray(column) << (u.s if unit == u.s else u.deg), unit, name)
 
 
 def _close(first, second, name):

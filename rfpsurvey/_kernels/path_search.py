@@ -83,7 +83,8 @@ def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
     tree, met = 0, False
     while count.max() < n_nodes - 1 and not met:
         for c in range(size):
-            point[c] = low[c] + rng.random() * (high[c] - low[c])
+            # some coordinates are at their limits, because narrow passages often are
+            point[c] = low[c] + min(max(1.1 * rng.random() - 0.05, 0.0), 1.0) * (high[c] - low[c])
         # the tree grows one step toward the random point, and the other tree then grows toward the new node
         for turn in range(2):
             side = tree if turn == 0 else 1 - tree
@@ -141,17 +142,19 @@ def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
 
 
 @kernel
-def mark_open(bodies, limits, around, i, low, size, slack, segments, is_open):
+def mark_open(bodies, limits, around, i, low, size, slack, segments, cells, is_open):
     """Mark the cells of arm i in whose centers it is not closer than the required distances minus ``slack``.
 
     Obstacles and arms that cannot move are considered. The center of cell (k, m) has theta = low[0] + k size and
-    psi - theta = low[1] + m size. The last column of ``segments`` is overwritten.
+    psi - theta = low[1] + m size; its segment is written to column k n + m of ``cells``, for n angles of phi. The last
+    column of ``segments``, which contains all arms, is overwritten.
     """
     last = segments.shape[1] - 1
     for k in range(is_open.shape[0]):
         for m in range(is_open.shape[1]):
             theta = low[0] + k * size
             locate(bodies, theta, theta + low[1] + m * size, i, segments, last)
+            cells[:, k * is_open.shape[1] + m] = segments[:, last]
             ends = segments[0, last], segments[1, last], segments[2, last], segments[3, last]
             free = True
             for n in range(around.o_start[i], around.o_start[i + 1]):
@@ -167,7 +170,7 @@ def mark_open(bodies, limits, around, i, low, size, slack, segments, is_open):
 
 
 @kernel
-def reaches_fold(is_open, cyclic, k, m, fold):
+def reaches_fold(is_open, k, m, fold):
     """Return whether the open cells that are connected with the cell (k, m) contain a cell (any, fold)."""
     n_theta, n_phi = is_open.shape
     seen = ~is_open
@@ -181,8 +184,6 @@ def reaches_fold(is_open, cyclic, k, m, fold):
         if m == fold:
             return True
         for u, v in ((k - 1, m), (k + 1, m), (k, m - 1), (k, m + 1)):
-            if cyclic:
-                u %= n_theta
             if 0 <= u < n_theta and 0 <= v < n_phi and not seen[u, v]:
                 seen[u, v] = True
                 stack[used, 0], stack[used, 1] = u, v
@@ -191,48 +192,44 @@ def reaches_fold(is_open, cyclic, k, m, fold):
 
 
 @kernel
-def flood(segments, limits, i, j, cells, usable, begin, goal, separation, most):
-    """Return LOCKED if two arms cannot reach folded poses, OPEN if they can between centers of cells, or UNKNOWN.
+def reach_fold_together(cells, limits, i, j, open_i, open_j, first, folds, separation, most):
+    """Return OPEN if two arms can reach folded poses between the centers of cells, LOCKED if not, or UNKNOWN.
 
-    Arm i has ``cells[0]`` directions theta, which are cyclic if ``cells[2]`` is 1, times ``cells[1]`` angles phi. The
-    columns of ``segments`` are the poses of arm i in the centers of its cells, then those of arm j. ``begin`` and
-    ``goal`` are the first cells of both arms, and the numbers of the angles phi of folded arms. The result is UNKNOWN
-    if more than ``most`` pairs of cells remain to be examined at the same time.
+    ``cells`` contains the segments of all cells of arm i, then those of arm j. ``first`` is the number of the cell of
+    each arm in these lists, and ``folds`` are the numbers of the angles phi of folded arms. The result is UNKNOWN if
+    more than ``most`` pairs of cells remain to be examined at the same time.
     """
-    n_theta, n_phi, cyclic = cells
-    n = n_theta * n_phi
-    seen = np.zeros(n * n // 64 + 1, np.uint64)
+    n, n_phi, other_phi = open_j.size, open_i.shape[1], open_j.shape[1]
+    start = open_i.size
+    seen = np.zeros(start * n // 64 + 1, np.uint64)
     stack = np.empty(most, np.int64)
-    first = begin[0] * n + begin[1]
-    seen[first >> 6] |= np.uint64(1) << np.uint64(first & 63)
-    stack[0], used = first, 1
+    state = first[0] * n + first[1]
+    seen[state >> 6] |= np.uint64(1) << np.uint64(state & 63)
+    stack[0], used = state, 1
     while used > 0:
         used -= 1
         a, b = stack[used] // n, stack[used] % n
-        if a % n_phi == goal[0] and b % n_phi == goal[1]:
+        if a % n_phi == folds[0] and b % other_phi == folds[1]:
             return OPEN
         for move in range(8):
-            # motions toward the fold are examined first, because they are the last ones on the stack
-            arm, joint, way = move // 2 % 2, move // 4, 2 * (move % 2) - 1
-            theta, phi = (a // n_phi, a % n_phi) if arm == 0 else (b // n_phi, b % n_phi)
+            # motions toward the fold are on top of the stack, so that they are examined first
+            arm, joint, way = move % 2, move // 4, 2 * (move // 2 % 2) - 1
+            is_open, cell, wide = (open_i, a, n_phi) if arm == 0 else (open_j, b, other_phi)
+            theta, phi = cell // wide, cell % wide
             if joint == 0:
                 theta += way
-                if cyclic:
-                    theta %= n_theta
-                elif theta < 0 or theta >= n_theta:
-                    continue
             else:
-                phi += way if goal[arm] >= phi else -way
-                if phi < 0 or phi >= n_phi:
-                    continue
-            c = theta * n_phi + phi
-            p, q = (c, b) if arm == 0 else (a, c)
+                phi += way if folds[arm] >= phi else -way
+            if theta < 0 or theta >= is_open.shape[0] or phi < 0 or phi >= wide or not is_open[theta, phi]:
+                continue
+            cell = theta * wide + phi
+            p, q = (cell, b) if arm == 0 else (a, cell)
             state = p * n + q
             bit = np.uint64(1) << np.uint64(state & 63)
-            if not usable[arm, c] or seen[state >> 6] & bit:
+            if seen[state >> 6] & bit:
                 continue
             seen[state >> 6] |= bit
-            if distance_at_rest(segments, limits, p, i, n + q, j, separation) < separation:
+            if distance_at_rest(cells, limits, p, i, start + q, j, separation) < separation:
                 continue
             if used + 1 >= most:
                 return UNKNOWN

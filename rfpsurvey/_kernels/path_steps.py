@@ -177,9 +177,8 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                 if choose:
                     lowest = math.inf
                     for u in range(3):
-                        turn = step * (u - 1)
-                        if not around.theta_low[i] <= theta[i] + turn <= around.theta_high[i]:
-                            continue
+                        # near its limit, an arm turns exactly to the limit
+                        turn = min(max(theta[i] + step * (u - 1), around.theta_low[i]), around.theta_high[i]) - theta[i]
                         for v in range(3):
                             bend = toward if v == 1 else (0.0 if v == 0 else -math.copysign(step, off))
                             if v == 1 and toward == 0.0:

@@ -315,6 +315,22 @@ class OutputKeys:
 
 
 @dataclass(frozen=True)
+class FileKeys:
+    """The file that a command writes.
+
+    Parameters
+    ----------
+    path : Path, optional
+        Write the result (.fits, .ecsv or .parquet).
+    overwrite : bool, optional
+        Replace existing files.
+    """
+
+    path: Path | None = None
+    overwrite: bool = False
+
+
+@dataclass(frozen=True)
 class TableOutputKeys(OutputKeys):
     """The files that a command with one table writes.
 
