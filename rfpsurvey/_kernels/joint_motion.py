@@ -150,7 +150,7 @@ def outlines_come_near(bodies, outline, i, a, a_rate, p, p_rate, j, b, b_rate, q
         gap = min(distance - separation, ahead)
         if not gap > TOLERANCE:
             return distance if gap == gap else math.inf
-        if fast == 0.0:
+        if not fast > 0.0:  # true for NaN, that is, for arms that are absent
             return math.inf
         t += (gap - ROUNDING) / fast
         if t >= 1.0:
@@ -179,7 +179,7 @@ def comes_near_obstacle(bodies, limits, i, a, a_rate, p, p_rate, obstacles, j, c
         distance = obstacle_distance(limits, obstacles, i, *ends, j) - radius
         if not distance - clearance > TOLERANCE:
             return distance if distance == distance else math.inf
-        if fast == 0.0:
+        if not fast > 0.0:  # true for NaN, that is, for arms that are absent
             return math.inf
         t += (distance - clearance - ROUNDING) / fast
         if t >= 1.0:
