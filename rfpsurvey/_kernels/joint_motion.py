@@ -150,7 +150,7 @@ def outlines_come_near(bodies, outline, i, a, a_rate, p, p_rate, j, b, b_rate, q
         gap = min(distance - separation, ahead)
         if not gap > TOLERANCE:
             return distance if gap == gap else math.inf
-        if fast == 0.0:
+        if not fast > 0.0:  # true for NaN, that is, for arms that are absent
             return math.inf
         t += (gap - ROUNDING) / fast
         if t >= 1.0:
@@ -176,6 +176,8 @@ def comes_near_obstacle(bodies, limits, i, a, a_rate, p, p_rate, obstacles, j, c
         x, y = elbow_at(bodies, i, a + t * a_rate)
         c, s = math.cos(p + t * p_rate), math.sin(p + t * p_rate)
         ends = x + inner * c, y + inner * s, x + length * c, y + length * s
+        if ends[2] != ends[2]:  # the arm is absent; its distance from an outline is not NaN
+            return math.inf
         distance = obstacle_distance(limits, obstacles, i, *ends, j) - radius
         if not distance - clearance > TOLERANCE:
             return distance if distance == distance else math.inf
