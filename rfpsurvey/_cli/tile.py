@@ -285,7 +285,7 @@ class PathsKeys(ScoreKeys):
         Largest change of a joint angle in a step of the planner.
     margin : Quantity, optional
         Length that is added to the minimum separation while paths are planned.
-    seed : int, optional
+    rng : int, optional
         Seed of random numbers.
     examine : bool, optional
         Examine whether arms without a path are certainly interlocked; this can take a minute per group of arms.
@@ -294,13 +294,13 @@ class PathsKeys(ScoreKeys):
     output: key_groups.FileKeys
     step: u.Quantity[u.deg] = 1 * u.deg
     margin: u.Quantity[u.mm] = 0.05 * u.mm
-    seed: int = 1
+    rng: int = 1
     examine: bool = False
 
 
 @command(
     PathsKeys,
-    "instrument.name center position_angle step margin seed examine output.path output.overwrite",
+    "instrument.name center position_angle step margin rng examine output.path output.overwrite",
     argument="catalog.path",
 )
 def paths(keys: PathsKeys, _: Given) -> None:
@@ -316,7 +316,7 @@ def paths(keys: PathsKeys, _: Given) -> None:
     rfpsurvey paths plan.ecsv --instrument sdss_apo --examine
     """
     tile, model = _scored(keys, (*WRITABLE, ".parquet"))
-    made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.seed, examine=keys.examine)
+    made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.rng, examine=keys.examine)
     if keys.output.path is not None:
         made.write(keys.output.path, overwrite=keys.output.overwrite)
     n = int(made.assigned.sum())

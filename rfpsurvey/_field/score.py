@@ -367,6 +367,6 @@ def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object)
     posed = np.isin(status, ("assigned", "out_of_reach"))
     given = (np.where(posed, angle, np.nan) << u.rad for angle in angles)
     types = {"fiber_type": table["fiber_type"]} if "fiber_type" in table.colnames else {}
-    idle = np.where(status == "recorded", angles, np.nan)
+    idle = np.where(posed, np.nan, angles)
     arms = place_arms(plane, **dict(zip(("theta", "phi"), given, strict=True)), **types, idle_angles=idle)
     return find_paths(plane, arms, motion=instrument.motion, **options)
