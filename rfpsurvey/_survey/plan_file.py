@@ -22,7 +22,7 @@ from rfpsurvey._common.settings import Settings, options_of
 from rfpsurvey._common.units import to_center
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey._sky.catalog import Catalog
-from rfpsurvey._sky.origin import EXACT, write_exactly
+from rfpsurvey._sky.catalog_files import EXACT, write_exactly
 from rfpsurvey._sky.partitions import PartitionedCatalog
 from rfpsurvey._sky.region import Region
 from rfpsurvey._sky.synthetic import synthetic_catalog
