@@ -1,8 +1,7 @@
 """A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
-from rfpsurvey._instruments.division import divide_polygon
 from rfpsurvey._instruments.numbers import PositionerNumbers
-from rfpsurvey._instruments.outline import ArmOutline
+from rfpsurvey._instruments.outline import ArmOutline, divide_polygon
 from rfpsurvey._instruments.positioner import Positioner
 
 __all__ = ["ArmOutline", "Positioner", "PositionerNumbers", "divide_polygon"]
