@@ -1,6 +1,6 @@
 """A theta-phi positioner: its two arms, their joints, and the parts that can collide."""
 
-from rfpsurvey._instruments.numbers import PositionerNumbers
+from rfpsurvey._instruments.joints import PositionerNumbers
 from rfpsurvey._instruments.outline import ArmOutline, divide_polygon
 from rfpsurvey._instruments.positioner import Positioner
 

@@ -8,8 +8,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._common.units import to_plain, to_points_mm, to_radian
-from rfpsurvey._instruments.fibers import to_sides
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joints import to_sides
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.errors import InputError, InputTypeError, check_fiber_type, check_switch
 
