@@ -6,9 +6,9 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 
+from rfpsurvey._common.files import WRITABLE, suffix_of
 from rfpsurvey._common.io import write_table
-from rfpsurvey._common.outputs import WRITABLE
-from rfpsurvey._common.read_tables import read_table, suffix_of
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_flags, to_plain, to_unit
 from rfpsurvey._field.plan_files import FROM_TILE, as_plan, is_plan, is_tile
 from rfpsurvey._field.plan_values import COLUMNS

@@ -16,8 +16,8 @@ from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
 from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS, TILE_COLUMNS, VISITS_COLUMNS
-from rfpsurvey._common.outputs import check_text
-from rfpsurvey._common.read_parquet import is_known, without_unit
+from rfpsurvey._common.files import check_text
+from rfpsurvey._common.read_tables import is_known, without_unit
 from rfpsurvey._common.units import locked, to_plain, to_vectors
 from rfpsurvey._kernels import sky
 from rfpsurvey._kernels import sky as zones

@@ -14,7 +14,7 @@ from astropy.time import Time
 from rfpsurvey._common import io as _io
 from rfpsurvey._common import units as _units
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_tables import lacks_units
+from rfpsurvey._common.files import lacks_units
 from rfpsurvey._sky import tables as _tables
 from rfpsurvey._sky.arrays import CatalogArrays, extra_columns, to_kinds
 from rfpsurvey._sky.catalog_files import EXACT, exact_columns, origin_of, path_and_name, read_table

@@ -13,6 +13,7 @@ from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._common import read_tables
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.io import FitsRows, table_cards, write_fits_rows
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._sky.tables import PER_TARGET
@@ -61,7 +62,7 @@ def is_example(path: object) -> bool:
 def path_and_name(path: str | os.PathLike) -> tuple[Path, str]:
     """Return the path of a file or of an example catalog, and the name that results record in their provenance."""
     if not is_example(path):
-        path = read_tables.to_path(path)
+        path = to_path(path)
         return path, path.name
     name = os.fspath(path)
     file = EXAMPLES[check_choice(name.removeprefix(PREFIX), EXAMPLES, "example catalog")]
