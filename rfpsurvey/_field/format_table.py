@@ -15,7 +15,7 @@ from rfpsurvey._field.plan_values import COLUMNS
 from rfpsurvey.errors import InputError, listed, short
 
 ENDINGS = WRITABLE
-TILE_COLUMNS = ("id", "target_id", "status", "tip_x", "tip_y")
+REQUIRED_OF_TILE = ("id", "target_id", "status", "tip_x", "tip_y")
 """Columns that the table of a tile must have."""
 TEXT, NUMBER = (str,), (int, float)
 META = {
@@ -71,7 +71,7 @@ def lost(plan: QTable) -> list[str]:
 
 def _check_tile(table: QTable, path: Path) -> None:
     """Raise an error if the table of a tile lacks columns, the name of the instrument or the parameters."""
-    lacking = [name for name in TILE_COLUMNS if name not in table.colnames]
+    lacking = [name for name in REQUIRED_OF_TILE if name not in table.colnames]
     if lacking:
         raise InputError(f"{path}: a tile must have the columns {listed(lacking)}, got {listed(table.colnames)}")
     provenance = table.meta["provenance"]

@@ -12,11 +12,11 @@ from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import COPIED, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, plot, show, to_html
+from rfpsurvey._common.descriptions import COPIED, describe, plot, show, to_html
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import write_plan
-from rfpsurvey._field.table import TableOfTile, TargetsOfField, completeness_table, id_column, without_masks
-from rfpsurvey._field.verdicts import OUTCOMES
+from rfpsurvey._field.table import OUTCOMES_COLUMNS, TILE_COLUMNS, TableOfTile, TargetsOfField, id_column, without_masks
+from rfpsurvey._field.verdicts import OUTCOMES, completeness_table
 from rfpsurvey._sky.time import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 

@@ -10,7 +10,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from rfpsurvey._assignment.constraints.requirement import Requirement
-from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS
+from rfpsurvey._field.table import OUTCOMES_COLUMNS
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._field.verdicts import Outcome
 from rfpsurvey._sky.arrays import has_role
