@@ -59,7 +59,10 @@ TESTS = {
         files("_instruments", "arms count_collisions find_collisions collision_methods motion moves"), COLLISION
     ),
     "rfpsurvey/_instruments/compare_projections.py": "observing/models",
-    **dict.fromkeys(files("_sky", "conditions observed_field observed_plane"), "observing/observing observing/models"),
+    **dict.fromkeys(
+        files("_sky", "conditions observed_field observed_plane"),
+        "observing/observing observing/wrong_conditions observing/models",
+    ),
     "rfpsurvey/_sky/distortion_map.py": "projection/distortion_map",
     "rfpsurvey/_survey/selection/*": "selection/bits selection/work selection/potential selection/replay selection/run",
     "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets " + ALLOCATION,

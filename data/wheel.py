@@ -3,7 +3,7 @@
 The ECSV text of a catalog is divided into blocks. Each block is compressed by bzip2 or LZMA, whichever gives the
 smaller result, and preceded by its size. The first block describes the others. Each other block is a column of whole
 numbers, stored as bytes: all most significant bytes, then all bytes of the next lower significance, and so on.
-``rfpsurvey/_sky/example_files.py`` restores the text.
+``rfpsurvey/_sky/catalog_files.py`` restores the text.
 """
 
 import bz2

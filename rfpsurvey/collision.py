@@ -1,6 +1,6 @@
 """Static collisions: the poses of arms, and the pairs of arms that are closer than the minimum separation."""
 
-from rfpsurvey._instruments.arms import place_arms
+from rfpsurvey._instruments.arms import Arms, place_arms
 from rfpsurvey._instruments.collision_methods import METHODS
 from rfpsurvey._instruments.count_collisions import CollisionCounts, count_collisions
 from rfpsurvey._instruments.find_collisions import find_collisions
@@ -11,6 +11,7 @@ from rfpsurvey._instruments.paths import Paths
 __all__ = [
     "LAWS",
     "METHODS",
+    "Arms",
     "CollisionCounts",
     "CollisionReport",
     "MotionReport",

@@ -3,7 +3,7 @@
 from rfpsurvey._instruments.arrays import FocalPlaneArrays
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.margins import Margins
-from rfpsurvey._instruments.modules import grouped_modules, triangle
+from rfpsurvey._instruments.modules import triangle
 from rfpsurvey._instruments.reach import Reach
 
-__all__ = ["FocalPlane", "FocalPlaneArrays", "Margins", "Reach", "grouped_modules", "triangle"]
+__all__ = ["FocalPlane", "FocalPlaneArrays", "Margins", "Reach", "triangle"]

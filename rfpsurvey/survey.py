@@ -1,7 +1,6 @@
 """Surveys of many tiles, which observe each target the requested number of times."""
 
 from rfpsurvey._survey.cadences import Cadences
-from rfpsurvey._survey.columns import survey_facts
 from rfpsurvey._survey.continue_survey import continue_survey
 from rfpsurvey._survey.history.diff import diff_surveys
 from rfpsurvey._survey.history.rule import VisitRule
@@ -21,7 +20,6 @@ __all__ = [
     "continue_survey",
     "diff_surveys",
     "plan_survey",
-    "survey_facts",
     "survey_status",
     "verify_survey",
 ]

@@ -10,7 +10,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.outputs import check_new_folder, check_output, check_separate
+from rfpsurvey._common.files import check_new_folder, check_output, check_separate
 
 CENTER = SkyCoord("6h20m +23d")
 FULL = """

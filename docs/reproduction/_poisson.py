@@ -7,15 +7,7 @@ import numpy as np
 from astropy.table import QTable, vstack
 
 from reproduction._claims import NOT_REPRODUCED, REPRODUCED, UNDECIDED, Claim
-from reproduction._designs import (
-    LARGE,
-    N_TARGETS,
-    Settings,
-    each,
-    estimate,
-    numbers_of,
-    random_designs,
-)
+from reproduction._designs import LARGE, N_TARGETS, Settings, each, estimate, numbers_of, random_designs
 from reproduction._large import NAMED, uniform_estimate
 from rfpsurvey.probability import RandomTargets
 

@@ -20,10 +20,9 @@ from reproduction._report import TABLES, page_of_claims
 from reproduction._small import small
 from reproduction._speed import speed
 from rfpsurvey._common.executors import released
+from rfpsurvey._common.files import check_output, to_path
 from rfpsurvey._common.folder import locked
 from rfpsurvey._common.io import write_table, writing_to
-from rfpsurvey._common.outputs import check_output
-from rfpsurvey._common.read_tables import to_path
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole
 from rfpsurvey.report._write import MADE_BY
 

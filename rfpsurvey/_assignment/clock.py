@@ -100,6 +100,17 @@ def end_on_interrupt() -> Iterator[Event]:
     ------
     Event
         Event that is set when an interrupt ends a search early.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> with rs.allocation.end_on_interrupt() as interrupted:
+    ...     plan = rs.allocate(plane, [[12, 0], [14, 0]] * u.mm, allocator="optimal")
+    >>> interrupted.is_set()
+    False
     """
 
     def handle(*signal_and_frame):

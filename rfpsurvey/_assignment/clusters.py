@@ -12,9 +12,9 @@ from scipy.sparse import csr_array
 
 from rfpsurvey._assignment.candidates import Candidates, cover
 from rfpsurvey._assignment.clock import OutOfTimeError, left, share
-from rfpsurvey._assignment.lexicographic import pursue
 from rfpsurvey._assignment.local_search import stand
 from rfpsurvey._assignment.milp import Program
+from rfpsurvey._assignment.objectives import pursue
 from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.solver import choose_one_each
 from rfpsurvey._kernels import conflicts

@@ -1,14 +1,23 @@
-"""Objectives of a search: classes without candidates, and upper limits from the best plan that ignores collisions."""
+"""Objectives of a search: their classes and upper limits, and their optimization in strict order.
+
+Each optimum is proven before the next objective is optimized. Upper limits follow from the best plan that ignores
+collisions.
+"""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from rfpsurvey._assignment.answer import SUBPRIORITIES, Level
 from rfpsurvey._assignment.before_and_after import changes_of, is_plan
 from rfpsurvey._assignment.candidates import Candidates
+from rfpsurvey._assignment.clock import left
 from rfpsurvey._assignment.local_search import match
 from rfpsurvey._assignment.problem import AllocationProblem
+
+if TYPE_CHECKING:  # it imports scipy.sparse
+    from rfpsurvey._assignment.milp import Program
 
 # Decimal digits of costs, which are differences of subpriorities in units of the range of all subpriorities.
 DIGITS = 6
@@ -156,3 +165,175 @@ def with_cost(problem: AllocationProblem) -> AllocationProblem:
     cost = np.where(problem.science, most - problem.subpriority, 0.0) / max(size, 1e-300)
     cost = np.round(cost, DIGITS) + order * (10.0 ** -(DIGITS + 1) / max(len(order), 1))
     return replace(problem, pairs=replace(problem.pairs, r2=cost[problem.pairs.target]))
+
+
+# Successive objectives are combined into one as long as the product of their numbers of possible values is below this
+# limit. Rounding errors then have no effect.
+LARGEST = 1e6
+# A program maximizes a goal, which is a weighted sum of objectives. In large programs, this sum also contains the last
+# few proven objectives. STEEP is the ratio of successive weights; N_STEEP is the largest number of these objectives.
+STEEP, N_STEEP = 8.0, 4
+# Only the goals of programs with more than this number of variables contain proven objectives.
+LARGE = 500
+# Settings for objectives whose optimum cannot be proven in time: fraction of the time that is reserved for them,
+# smallest weight, and allowed gap.
+FOR_FILLING, FLATTEST, GOOD_ENOUGH = 0.2, 1e-3, 1e-3
+
+
+class Solution(NamedTuple):
+    """The plan of some positioners: the candidate of each positioner, and the value and bound of each objective."""
+
+    chosen: np.ndarray | None  # candidates in use; None if no plan was found within the time limit
+    values: np.ndarray
+    bounds: np.ndarray
+    n_programs: int
+    integral: bool  # whether an integer program had to be solved
+    least: float = 0.0  # lower bound of the cost of all plans that reach all bounds; costs are not negative
+
+
+class _Pursuit:
+    """The state of the search: the best plan found so far, and the proven values of the first objectives."""
+
+    def __init__(self, program: "Program", first, limit, *, integral, upper=None):
+        self.program, self.limit, self.known = program, limit, upper
+        self.integral, self.n_programs = integral, 0
+        self.classes = np.zeros(len(program.high), dtype=bool)
+        if not program.problem.any_required:
+            self.classes[offset_of(program.problem) :][: len(program.problem.classes)] = True
+        x = program.variables(first)
+        self.x = x if program.holds(x) else None
+        self.values = program.reaches(x)
+        self.spare = None  # a plan that was better than the stored plan in objectives that were not proven
+        self.solved: list[float] = []  # proven values, beginning with the first objective
+
+    def upper(self, values):
+        """Return the upper bound of each objective, given the values of all earlier objectives."""
+        if self.known is not None:
+            return np.minimum(self.program.high, self.known(values))
+        if self.limit is None:
+            return self.program.high
+        # For every k, no plan has more targets of the first k classes than the best matching.
+        before = np.cumsum(self.classes * values) - self.classes * values
+        most = np.where(self.classes, np.cumsum(self.classes * self.limit) - before, self.limit)
+        if self.program.problem.any_required:
+            # The matching gives an upper limit of an objective only if the plan is as good as the matching in all
+            # earlier objectives.
+            known = np.append(True, np.cumprod(values >= self.limit)[:-1] > 0)
+            most = np.where(known, most, np.inf)
+        return np.minimum(self.program.high, most)
+
+    def maximize(self, goal, keep, deadline, gap=0.0):
+        """Return the variables that maximize a goal (a weighted sum of objectives), and an upper bound of the goal."""
+        x, bound = self.program.maximize(goal, deadline, integral=self.integral, keep=keep, gap=gap)
+        self.n_programs += 1
+        if not self.integral and x is not None:
+            if np.abs(x - np.round(x)).max() > 1e-6:
+                self.integral = True
+                return self.maximize(goal, keep, deadline, gap)
+            x = np.round(x)
+        return x, bound
+
+    def take(self, x):
+        """Store the variables if their plan is better than the stored plan."""
+        values = self.program.reaches(x)
+        if self.x is None or tuple(values) > tuple(self.values):
+            self.x, self.values = x, values
+
+    def next_pack(self, k, largest):
+        """Return the number of objectives, beginning with k, that can form one weighted sum, and their weights."""
+        sizes = (self.program.high - self.program.low + 1.0)[k:]
+        # each weight exceeds the largest possible sum of all later terms, like the digits of a number
+        n = max(int((np.cumprod(sizes) <= largest).sum()), 1)
+        return n, np.cumprod([1.0, *sizes[1:n][::-1]])[::-1]
+
+    def prove(self, k, deadline):
+        """Optimize objective k, possibly together with later objectives.
+
+        Return the number of objectives that this call has proven, and an upper bound of objective k.
+        """
+        program, n_solved = self.program, len(self.solved)
+        if self.x is not None and self.is_kept(self.values):
+            short = np.flatnonzero(self.values[k:] < self.upper(self.values)[k:])
+            n = int(short[0]) if len(short) else len(program.high) - k
+            if n:
+                self.solved += self.values[k : k + n].tolist()
+                return n, self.values[k]
+        # Proven objectives become constraints. Such constraints would make large programs very slow. In large programs,
+        # the last few proven objectives are therefore terms of the goal instead.
+        in_goal = N_STEEP if n_solved and program.n > LARGE else 0
+        n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
+        goal = program.goal(k, weights)
+        lowest = weights[1:] @ program.low[k + 1 : k + n]
+        for n_soft in dict.fromkeys([min(in_goal, n_solved), 0]):
+            first = n_solved - n_soft
+            slope = weights[0] * STEEP ** np.arange(n_soft, 0, -1)
+            extra, worth = program.goal(first, slope), slope @ self.solved[first:]
+            x, bound = self.maximize(goal + extra, self.solved[:first], deadline)
+            if x is None:
+                return 0, np.inf
+            self.take(x)
+            values = program.reaches(x)
+            # all values of the goal are whole numbers
+            done = (goal + extra) @ x >= bound - 0.5
+            if done and self.is_kept(values):
+                self.solved += values[k : k + n].tolist()
+                if tuple(values) < tuple(self.values):
+                    self.spare = self.x
+                self.x, self.values = x, values
+                return n, values[k]
+            if not done:
+                return 0, np.floor((bound - worth - lowest) / weights[0] + 1e-6)
+        return 0, np.inf
+
+    def fill(self, k, deadline):
+        """Improve objective k and all later objectives, approximately in order, without proof of an optimum."""
+        worth = np.maximum(STEEP ** -np.arange(len(self.program.high) - k, dtype=float), FLATTEST)
+        x, _ = self.maximize(self.program.goal(k, worth), self.solved, deadline, gap=GOOD_ENOUGH)
+        if x is not None:
+            self.take(x)
+
+    def is_kept(self, values):
+        """Return whether a plan reaches the proven values of all objectives that are already proven."""
+        return bool((values[: len(self.solved)] >= self.solved).all())
+
+
+def pursue(
+    program: "Program", first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None, upper=None
+) -> Solution:
+    """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
+
+    If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions.
+    ``upper`` is a function that returns other upper bounds for the values of all earlier objectives. With
+    ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
+    called with the number of proven objectives and the total number of objectives.
+    """
+    now = _Pursuit(program, first, limit, integral=integral, upper=upper)
+    n_objectives, k = len(program.high), 0
+    time_left = left(deadline)
+    halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
+    bounds, least = program.high.copy(), 0.0
+    while k < n_objectives:
+        if tell is not None:
+            tell(k, n_objectives)
+        n, bound = now.prove(k, halt)
+        if n == 0:
+            if k < n_objectives - 1:
+                now.fill(k, deadline)
+            if now.spare is not None:
+                now.take(now.spare)
+            bounds[k:] = now.upper(now.values)[k:]
+            bounds[k] = min(bound, bounds[k])
+            break
+        bounds[k : k + n] = now.solved[k:]
+        k += n
+    if squared_cost and k == n_objectives:
+        x, bound = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
+        least = max(-bound, 0.0)
+        # the best plan that was found before the deadline can be worse than the plan from which the search started
+        if x is not None and (now.x is None or program.costs @ x <= program.costs @ now.x):
+            now.x = x
+    if now.x is None:
+        return Solution(None, now.values, bounds, now.n_programs, now.integral)
+    values = program.reaches(now.x)
+    bounds = np.maximum(bounds, values)
+    return Solution(program.chosen(now.x), values, bounds, now.n_programs, now.integral, least)

@@ -10,7 +10,6 @@ from rfpsurvey._assignment.before_and_after import best_pairs
 from rfpsurvey._assignment.candidates import Candidates, find_candidates, reduced
 from rfpsurvey._assignment.clock import OutOfTimeError, left, now, seconds_until, share
 from rfpsurvey._assignment.clusters import Prices, bound_by_clusters, improve_by_clusters, weights_of
-from rfpsurvey._assignment.lexicographic import Solution, pursue
 from rfpsurvey._assignment.local_plans import (
     AT_LEAST,
     LOCAL,
@@ -27,9 +26,11 @@ from rfpsurvey._assignment.local_plans import (
 from rfpsurvey._assignment.local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey._assignment.milp import Program
 from rfpsurvey._assignment.objectives import (
+    Solution,
     conditional_bounds,
     matching_limits,
     offset_of,
+    pursue,
     with_cost,
     with_used_classes,
 )

@@ -11,13 +11,14 @@ from rfpsurvey._assignment.candidates import Candidates
 from rfpsurvey._assignment.clock import OutOfTimeError, left, share
 from rfpsurvey._assignment.clusters import improve_by_clusters, improve_members, program_of, upper_of_part
 from rfpsurvey._assignment.distribution import lost_to_rules
-from rfpsurvey._assignment.lexicographic import Solution, pursue
 from rfpsurvey._assignment.local_plans import LOCAL, answer_of, plan_of, repaired_plan, values_of
 from rfpsurvey._assignment.local_search import pick, repair_collisions, stand
 from rfpsurvey._assignment.objectives import (
+    Solution,
     conditional_bounds,
     matching_limits,
     offset_of,
+    pursue,
     with_cost,
     with_used_classes,
 )

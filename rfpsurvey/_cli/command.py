@@ -14,10 +14,9 @@ import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
 from rfpsurvey._cli.printing import PICTURES, print_text
+from rfpsurvey._common.files import WRITABLE, check_output, check_separate, is_csv, is_fits
 from rfpsurvey._common.io import check_fits_text, write_bytes
-from rfpsurvey._common.outputs import WRITABLE, check_output, check_separate
-from rfpsurvey._common.read_parquet import is_number
-from rfpsurvey._common.read_tables import is_csv, is_fits, read_table
+from rfpsurvey._common.read_tables import is_number, read_table
 from rfpsurvey._common.units import to_center
 from rfpsurvey._field.plan_files import is_plan, native_format, read_plan
 from rfpsurvey._instruments.instrument import as_instrument

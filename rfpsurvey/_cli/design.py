@@ -15,7 +15,7 @@ from rfpsurvey._cli import process as _process
 from rfpsurvey._cli import surveys as _surveys
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.printing import files, print_text
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._studies.design import LossOptions
 from rfpsurvey._studies.design_rows import AXES
 from rfpsurvey._survey import key_groups

@@ -19,7 +19,7 @@ from rfpsurvey._common.executors import released
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._instruments.facts import arm_classes, fact_texts
 from rfpsurvey._instruments.instrument import Instrument, every_instrument
-from rfpsurvey._sky.example_files import is_example
+from rfpsurvey._sky.catalog_files import is_example
 from rfpsurvey._studies.methods import METHODS
 from rfpsurvey._studies.simulate import QUEUEING
 from rfpsurvey._studies.targets import Precision, RandomTargets

@@ -9,8 +9,8 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey._common.files import is_fits, suffix_of
 from rfpsurvey._common.io import write_table, writing_to
-from rfpsurvey._common.read_tables import is_fits, suffix_of
 from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
 from rfpsurvey.errors import brief
 from rfpsurvey.report import estimate_facts, model_facts, tiling_facts

@@ -14,7 +14,7 @@ from rfpsurvey._cli import process as _process
 from rfpsurvey._cli import surveys as _surveys
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.survey import values_of
-from rfpsurvey._common.outputs import check_output, check_separate
+from rfpsurvey._common.files import check_output, check_separate
 from rfpsurvey._common.settings import option
 from rfpsurvey._survey import key_groups, key_objects
 from rfpsurvey._survey.key_objects import Given

@@ -17,9 +17,9 @@ from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli import surveys as _surveys
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.printing import print_facts, print_text
+from rfpsurvey._common.files import WRITABLE, check_output
 from rfpsurvey._common.io import write_table
-from rfpsurvey._common.outputs import WRITABLE, check_output
-from rfpsurvey._common.read_parquet import is_number, parse_number
+from rfpsurvey._common.read_tables import is_number, parse_number
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.history.diff import diff_surveys
 from rfpsurvey._survey.history.status import status_facts, survey_status

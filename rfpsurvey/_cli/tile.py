@@ -15,7 +15,7 @@ from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.descriptions import help_of
-from rfpsurvey._common.outputs import WRITABLE, check_parent, check_separate
+from rfpsurvey._common.files import WRITABLE, check_parent, check_separate
 from rfpsurvey._field.plan_files import read_plan, write_plan
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._sky.region import Region

@@ -14,10 +14,9 @@ from pathlib import Path
 import numpy as np
 from filelock import FileLock, Timeout
 
+from rfpsurvey._common.files import check_parent, suffix_of, to_path
 from rfpsurvey._common.io import TEMPORARY_PREFIX, write_bytes, writing_to, written
-from rfpsurvey._common.outputs import check_parent
 from rfpsurvey._common.read_documents import content_of, is_present, open_file, parse_json, read_arrays
-from rfpsurvey._common.read_tables import suffix_of, to_path
 from rfpsurvey._common.temporary import remove, temporary
 from rfpsurvey.errors import InputError, warn
 

@@ -1,4 +1,4 @@
-"""Write tables to files; the module ``_readers`` reads them.
+"""Write tables to files; the module ``read_tables`` reads them.
 
 Output files are never incomplete, and existing files are replaced only on request. FITS headers cannot contain nested
 values. The ``meta`` of a table is therefore written as one JSON string with the keyword ``RFPSURVY``, in addition to
@@ -22,11 +22,10 @@ import numpy as np
 from astropy.table import QTable, Table
 from astropy.units import Unit
 
-from rfpsurvey._common.outputs import WRITABLE, check_new_folder, check_output, check_texts
+from rfpsurvey._common.files import WRITABLE, check_new_folder, check_output, check_texts, is_fits, to_path
 from rfpsurvey._common.read_documents import sentence
 from rfpsurvey._common.read_fits import META_KEY
-from rfpsurvey._common.read_parquet import is_known
-from rfpsurvey._common.read_tables import is_fits, to_path
+from rfpsurvey._common.read_tables import is_known
 from rfpsurvey._common.temporary import temporary
 from rfpsurvey.errors import InputError, listed
 

@@ -10,7 +10,7 @@ from astropy.table import Table
 from astropy.units import Unit, UnrecognizedUnit, dimensionless_unscaled
 
 from rfpsurvey._common.read_documents import MOST_COLUMNS, check_rows, check_width, content_of, warn_of_open_end
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey.errors import InputError, warn
 
 DELIMITERS = {b",": "comma", b";": "semicolon", b"\t": "tab", b"|": "vertical bar"}

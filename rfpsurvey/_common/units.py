@@ -18,7 +18,7 @@ from astropy.table import Table
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, InputUnitsError, listed, refusing, short
 
 MOST_VISITS, MOST_SEED = 255, 2**128

@@ -13,10 +13,10 @@ from astropy.table import QTable
 from astropy.time import Time
 from astropy.utils.exceptions import AstropyDeprecationWarning
 
+from rfpsurvey._common.files import suffix_of
 from rfpsurvey._common.io import writing_to
 from rfpsurvey._common.read_documents import content_of, head_of, sentence
-from rfpsurvey._common.read_parquet import is_number
-from rfpsurvey._common.read_tables import suffix_of
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._common.units import check_columns, to_plain
 from rfpsurvey._field.plan_values import (
     check_instrument,

@@ -14,9 +14,10 @@ import numpy as np
 from astropy.table import QTable, Table
 
 from rfpsurvey._common.descriptions import table_of
+from rfpsurvey._common.files import suffix_of
 from rfpsurvey._common.io import check_fits_text, writing_to
 from rfpsurvey._common.read_documents import head_of, sentence
-from rfpsurvey._common.read_tables import read_tables, suffix_of
+from rfpsurvey._common.read_tables import read_tables
 from rfpsurvey._common.units import check_columns, check_unique, to_plain
 from rfpsurvey._field.plan_values import (
     Native,

@@ -6,16 +6,16 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 
+from rfpsurvey._common.files import WRITABLE, suffix_of
 from rfpsurvey._common.io import write_table
-from rfpsurvey._common.outputs import WRITABLE
-from rfpsurvey._common.read_tables import read_table, suffix_of
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_flags, to_plain, to_unit
 from rfpsurvey._field.plan_files import FROM_TILE, as_plan, is_plan, is_tile
 from rfpsurvey._field.plan_values import COLUMNS
 from rfpsurvey.errors import InputError, listed, short
 
 ENDINGS = WRITABLE
-TILE_COLUMNS = ("id", "target_id", "status", "tip_x", "tip_y")
+REQUIRED_OF_TILE = ("id", "target_id", "status", "tip_x", "tip_y")
 """Columns that the table of a tile must have."""
 TEXT, NUMBER = (str,), (int, float)
 META = {
@@ -71,7 +71,7 @@ def lost(plan: QTable) -> list[str]:
 
 def _check_tile(table: QTable, path: Path) -> None:
     """Raise an error if the table of a tile lacks columns, the name of the instrument or the parameters."""
-    lacking = [name for name in TILE_COLUMNS if name not in table.colnames]
+    lacking = [name for name in REQUIRED_OF_TILE if name not in table.colnames]
     if lacking:
         raise InputError(f"{path}: a tile must have the columns {listed(lacking)}, got {listed(table.colnames)}")
     provenance = table.meta["provenance"]

@@ -14,9 +14,10 @@ from types import SimpleNamespace
 import numpy as np
 from astropy.table import MaskedColumn, QTable, Table
 
+from rfpsurvey._common.files import has_ending, suffix_of, to_path
 from rfpsurvey._common.plugins import find_plugin, plugin_names
 from rfpsurvey._common.read_documents import check_is_file, reading, sentence
-from rfpsurvey._common.read_tables import has_ending, read_table, suffix_of, to_path
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._field.plan_values import ENTRIES, make_plan
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, warn

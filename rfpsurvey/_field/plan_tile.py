@@ -16,18 +16,19 @@ from rfpsurvey._assignment.constraints.counts import sentences
 from rfpsurvey._assignment.methods import DEFAULT_ALLOCATOR
 from rfpsurvey._assignment.options import AllocationOptions, as_options
 from rfpsurvey._assignment.plugin import packages, warn_of_lacks, warn_of_unused_options
+from rfpsurvey._common.descriptions import with_unit
 from rfpsurvey._common.executors import Progress
 from rfpsurvey._common.units import to_center, to_generator, to_seed, to_vectors
 from rfpsurvey._field.constraints import early_violations
 from rfpsurvey._field.facts import build_tile, split_objectives
 from rfpsurvey._field.plan import FieldPlan, field_radius_rad, plan_field
 from rfpsurvey._field.recorded import warn_of_north, where
-from rfpsurvey._field.table import TableOfTile, TargetsOfField, by_positioner, counts_by_kind
+from rfpsurvey._field.table import TableOfTile, TargetsOfField, only_with_target
 from rfpsurvey._field.targets import CatalogTargets, FieldBuilder, SelectedRows, separation_rad
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._instruments.compare_projections import choose_projection
 from rfpsurvey._instruments.instrument import Instrument, as_instrument
-from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._sky.arrays import KINDS, has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.partitions import as_catalog
@@ -303,3 +304,34 @@ def _generator(rng):
         return rng, f"{state['bit_generator']} {state.get('state')}"
     seed = to_seed(rng) if rng is None else rng
     return to_generator(seed), int(seed) if isinstance(seed, int | np.integer) else str(seed)
+
+
+def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
+    """Return, for each kind, the numbers of targets in the field, of assigned targets, and of observed targets.
+
+    ``rows`` contains the rows, in the catalog, of the targets in the field with requested visits. A target is observed
+    if it is assigned and not lost to a collision.
+    """
+    free = ~plan.report.in_collision[plan.positioner]
+    counts_of_kind = {}
+    for kind in KINDS:
+        is_kind, kinds = has_role(plan.kind, kind), catalog.kind
+        n_in_field = len(rows) * (kind == "science") if kinds is None else has_role(kinds[rows], kind).sum()
+        counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
+        if (is_also_science := is_kind & has_role(plan.kind, "science")).any() and kind != "science":
+            counts["n_also_science"] = is_also_science.sum()
+        if kind == "science" or any(counts.values()):
+            counts_of_kind[kind] = {name: int(number) for name, number in counts.items()}
+    return counts_of_kind
+
+
+def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
+    """Return columns of the catalog, with the values of the target of each positioner.
+
+    ``row_of`` contains, for each positioner, its row in the plan, or -1 if the plan has no row for the positioner.
+    """
+    if len(plan.target) == 0:
+        return {}
+    given = (row_of >= 0) & (plan.target >= 0)[row_of]
+    carried = {name: only_with_target(values[row_of], given) for name, values in plan.carried.items()}
+    return {name: with_unit(values, catalog.arrays.extra_units.get(name)) for name, values in carried.items()}

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._sky.arrays import JOINED
 from rfpsurvey.errors import InputError
 

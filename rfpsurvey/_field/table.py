@@ -1,5 +1,6 @@
 """The tables of a tile, of its positioners and of the targets of its field, which are made when they are used first."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -8,24 +9,65 @@ from astropy.table import MaskedColumn, QTable
 from astropy.utils.masked import Masked
 
 from rfpsurvey._assignment.allocation import IDLE_REASONS, IdleReasons, find_idle_reasons
-from rfpsurvey._common.descriptions import (
-    OUTCOMES_COLUMNS,
-    TILE_COLUMNS,
-    Column,
-    describe,
-    make_table,
-    table_of,
-    with_unit,
-)
+from rfpsurvey._common.descriptions import Column, describe, make_table, table_of, with_unit
 from rfpsurvey._common.units import to_lonlat
 from rfpsurvey._field.plan import FieldPlan
-from rfpsurvey._field.verdicts import OUTCOMES, Outcome, category_classes, outcome_codes, priority_classes
+from rfpsurvey._field.verdicts import OUTCOMES, Outcome, outcome_codes
 from rfpsurvey._instruments.arms import Arms, nearest_distance
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.motion import CollisionReport
-from rfpsurvey._sky.arrays import KINDS, has_role
 from rfpsurvey._sky.catalog import Catalog
+
+
+def _coordinates(prefix: str, place: str, points: Callable) -> tuple[Column, Column]:
+    """Return the columns of the coordinates x and y of points, which are a function of the data of the table."""
+    text = f"coordinate of {place}"
+    return (
+        Column(f"{prefix}x", f"x {text}", "mm", lambda t: points(t)[:, 0]),
+        Column(f"{prefix}y", f"y {text}", "mm", lambda t: points(t)[:, 1]),
+    )
+
+
+TARGET_ID = Column("target_id", "identifier of the target", value=lambda t: t.target_id)
+TARGET_COLUMNS = (
+    Column("ra", "right ascension of the target (ICRS)", "deg", lambda t: t.place_deg[0]),
+    Column("dec", "declination of the target (ICRS)", "deg", lambda t: t.place_deg[1]),
+    Column("kind", "kind of the target: science, standard or sky"),
+    Column("category", "category of the target in the catalog"),
+    Column("priority", "priority of the target; targets with larger values are more important"),
+)
+STATUS = "status of the positioner: assigned, out_of_reach, parked, recorded, idle, disabled or stuck"
+PLANNER = "whether the arm collides if all arms unfold at the same time, or cannot turn while it is folded"
+TILE_COLUMNS = table_of(
+    Column("id", "identifier of the positioner", value=lambda t: t.plane.id),
+    Column("spectrograph", "spectrograph that the fiber feeds", value=lambda t: t.spectrograph),
+    *_coordinates("", "the center of the positioner in the focal plane", lambda t: t.plane.arrays.xy),
+    Column("status", STATUS, value=lambda t: t.status),
+    TARGET_ID,
+    *TARGET_COLUMNS,
+    Column("fiber_type", "fiber type of the fiber on the target", value=lambda t: t.fiber_type_of_target),
+    Column("theta", "angle of the central arm", "deg", lambda t: np.rad2deg(t.posed.theta)),
+    Column("phi", "angle of the eccentric arm", "deg", lambda t: np.rad2deg(t.posed.phi)),
+    *_coordinates("elbow_", "the elbow in the focal plane", lambda t: t.posed.elbow),
+    *_coordinates("tip_", "the fiber in the focal plane", lambda t: t.posed.tip),
+    Column("in_collision", "whether the arm of the positioner collides", value=lambda t: t.report.in_collision),
+    Column("colliding_with", "positioners and obstacles with which the arm collides", value=lambda t: t.partners),
+    Column("needs_planner", PLANNER, value=lambda t: t.report.motion and t.report.motion.needs_planner),
+    Column("clearance", "distance to the nearest other arm minus the minimum separation", "mm", lambda t: t.clearance),
+    *_coordinates("arm_", "the outer end of the arm segment that can collide", lambda t: t.posed.segments[:, 2:]),
+)
+"""Columns of the table of a tile, which is made from a `TableOfTile`."""
+OUTCOMES_COLUMNS = table_of(
+    TARGET_ID,
+    *TARGET_COLUMNS,
+    *_coordinates("", "the target in the focal plane", lambda t: t.xy_mm),
+    Column("outcome", "observed, or the reason why the target is not observed", value=lambda t: t.outcome_names),
+    Column(
+        "positioner", "identifier of the positioner to which the target is assigned", value=lambda t: t.positioner_id
+    ),
+)
+"""Columns of the outcomes of a tile, which are made from `TargetsOfField`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -170,16 +212,6 @@ def without_masks(table: QTable) -> QTable:
 
 
 COLUMNS = ("kind", "category", "priority")
-COMPLETENESS = table_of(
-    Column("kind", "kind of the counted targets, or 'all' for every kind"),
-    Column("category", "category of the counted targets, or 'all' for every category"),
-    Column("priority", "priority of the counted targets, or 'all' for every priority"),
-    Column("n_in_field", "number of targets in the field, without science targets of which no visits are requested"),
-    Column("n_reachable", "number of targets in reach of a positioner"),
-    Column("n_assigned", "number of targets with a positioner"),
-    Column("n_observed", "number of targets with a positioner whose arm does not collide"),
-    Column("completeness", "n_observed divided by n_in_field"),
-)
 IDLE_COLUMNS = table_of(
     Column("id", "identifier of the positioner"),
     Column("reason", "reason why the positioner has no target"),
@@ -192,9 +224,6 @@ IDLE_COLUMNS = table_of(
     OUTCOMES_COLUMNS["y"],
     OUTCOMES_COLUMNS["kind"],
     Column("possible", "whether the arm can observe the target without a collision"),
-)
-LOST, OBSERVED, UNREACHED, UNUSED = (
-    OUTCOMES[k] for k in (Outcome.LOST_TO_A_COLLISION, Outcome.OBSERVED, Outcome.OUT_OF_REACH, Outcome.NOT_REQUESTED)
 )
 
 
@@ -283,74 +312,6 @@ class TargetsOfField:
         return make_table(OUTCOMES_COLUMNS, self)
 
 
-def counts_by_kind(catalog: Catalog, rows: np.ndarray, plan: FieldPlan) -> dict:
-    """Return, for each kind, the numbers of targets in the field, of assigned targets, and of observed targets.
-
-    ``rows`` contains the rows, in the catalog, of the targets in the field with requested visits. A target is observed
-    if it is assigned and not lost to a collision.
-    """
-    free = ~plan.report.in_collision[plan.positioner]
-    counts_of_kind = {}
-    for kind in KINDS:
-        is_kind, kinds = has_role(plan.kind, kind), catalog.kind
-        n_in_field = len(rows) * (kind == "science") if kinds is None else has_role(kinds[rows], kind).sum()
-        counts = {"n_in_field": n_in_field, "n_assigned": is_kind.sum(), "n_observed": (is_kind & free).sum()}
-        if (is_also_science := is_kind & has_role(plan.kind, "science")).any() and kind != "science":
-            counts["n_also_science"] = is_also_science.sum()
-        if kind == "science" or any(counts.values()):
-            counts_of_kind[kind] = {name: int(number) for name, number in counts.items()}
-    return counts_of_kind
-
-
-def by_positioner(catalog: Catalog, plan: FieldPlan, row_of: np.ndarray) -> dict:
-    """Return columns of the catalog, with the values of the target of each positioner.
-
-    ``row_of`` contains, for each positioner, its row in the plan, or -1 if the plan has no row for the positioner.
-    """
-    if len(plan.target) == 0:
-        return {}
-    given = (row_of >= 0) & (plan.target >= 0)[row_of]
-    carried = {name: only_with_target(values[row_of], given) for name, values in plan.carried.items()}
-    return {name: with_unit(values, catalog.arrays.extra_units.get(name)) for name, values in carried.items()}
-
-
-def completeness_table(outcomes: QTable, kinds: dict) -> QTable:
-    """Return a table with a row for each kind, each category, and each priority class of science targets.
-
-    ``kinds`` are the `counts_by_kind`, since rules can remove a role of targets.
-    """
-    outcome = np.asarray(outcomes["outcome"])
-    kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
-    science = has_role(kind, "science")
-    masks = {
-        "n_in_field": ~science | (outcome != UNUSED),  # science targets that are not requested are not counted
-        "n_reachable": (outcome != UNREACHED) & (outcome != UNUSED),
-        "n_assigned": (outcome == OBSERVED) | (outcome == LOST),
-        "n_observed": outcome == OBSERVED,
-    }
-    rows = []
-
-    def add(selected, most=None, **labels):
-        counts = [int(np.count_nonzero(mask & selected)) for mask in masks.values()]
-        if most is not None:
-            counts[2:] = [min(counts[2], most["n_assigned"]), min(counts[3], most["n_observed"])]
-        labels = [labels.get(name, "all") for name in ("kind", "category", "priority")]
-        rows.append((*labels, *counts, counts[-1] / max(counts[0], 1)))
-
-    for name in KINDS:
-        if name == "science" or has_role(kind, name).any():
-            add(has_role(kind, name), kinds.get(name), kind=name)
-    if "category" in outcomes.colnames:
-        class_of, names = category_classes(np.asarray(outcomes["category"]), masks["n_in_field"])
-        for k, name in enumerate(names if len(names) > 1 else []):
-            add(class_of == k, category=name)
-    if "priority" in outcomes.colnames:
-        class_of, names = priority_classes(np.asarray(outcomes["priority"]), science & masks["n_in_field"])
-        for k, name in enumerate(names if len(names) > 1 else []):
-            add(science & (class_of == k), kind="science", priority=name)
-    return describe(QTable(rows=rows, names=list(COMPLETENESS)), COMPLETENESS)
-
-
 def idle_tables(idle: IdleReasons, targets: TargetsOfField, positioner_id: np.ndarray) -> tuple[QTable, QTable]:
     """Return a table of the positioners without a target, and a table of their free targets in reach."""
     # for each positioner and free target, the arms and obstacles that block the arm, in one set for each handedness
@@ -382,3 +343,19 @@ def _texts(groups, ids) -> np.ndarray:
     """Return the identifiers of positioners and obstacles as text, separated by spaces."""
     names = [" ".join(str(ids[k]) if k >= 0 else f"obstacle-{-1 - k}" for k in sorted(rows)) for rows in groups]
     return np.array(names, dtype=str)
+
+
+def same_table(a, b) -> bool:
+    """Return whether two tables are equal; a table that is None is equal to any table."""
+    return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
+
+
+def _same(a, b) -> bool:
+    if getattr(a, "unit", None) != getattr(b, "unit", None):
+        return False
+    if not np.array_equal(np.ma.getmaskarray(np.ma.asarray(a)), np.ma.getmaskarray(np.ma.asarray(b))):
+        return False
+    if isinstance(a, MaskedColumn):
+        return bool(np.array_equal(a.filled(), b.filled()))
+    a, b = np.asarray(getattr(a, "value", a)), np.asarray(getattr(b, "value", b))
+    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))

@@ -7,16 +7,24 @@ from functools import cached_property
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import MaskedColumn, QTable, Table
+from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import COPIED, OUTCOMES_COLUMNS, TILE_COLUMNS, describe, plot, show, to_html
+from rfpsurvey._common.descriptions import COPIED, describe, plot, show, to_html
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import write_plan
-from rfpsurvey._field.table import TableOfTile, TargetsOfField, completeness_table, id_column, without_masks
-from rfpsurvey._field.verdicts import OUTCOMES
+from rfpsurvey._field.table import (
+    OUTCOMES_COLUMNS,
+    TILE_COLUMNS,
+    TableOfTile,
+    TargetsOfField,
+    id_column,
+    same_table,
+    without_masks,
+)
+from rfpsurvey._field.verdicts import OUTCOMES, completeness_table
 from rfpsurvey._sky.time import to_time
 from rfpsurvey.errors import InputError, InputTypeError
 
@@ -371,7 +379,7 @@ class Tile:
         a, b = self.table, other.table
         # compare as text, in which NaN equals NaN
         same_meta = json.dumps(a.meta, sort_keys=True) == json.dumps(b.meta, sort_keys=True)
-        return same_meta and _same_table(a, b) and _same_table(self.outcomes, other.outcomes)
+        return same_meta and same_table(a, b) and same_table(self.outcomes, other.outcomes)
 
     __hash__ = None
 
@@ -394,19 +402,3 @@ class Tile:
 def collision_shape(summary: dict) -> str:
     """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
     return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""
-
-
-def _same_table(a, b) -> bool:
-    """Return whether two tables are equal; a table that is None is equal to any table."""
-    return a is None or b is None or (a.colnames == b.colnames and all(_same(a[name], b[name]) for name in a.colnames))
-
-
-def _same(a, b) -> bool:
-    if getattr(a, "unit", None) != getattr(b, "unit", None):
-        return False
-    if not np.array_equal(np.ma.getmaskarray(np.ma.asarray(a)), np.ma.getmaskarray(np.ma.asarray(b))):
-        return False
-    if isinstance(a, MaskedColumn):
-        return bool(np.array_equal(a.filled(), b.filled()))
-    a, b = np.asarray(getattr(a, "value", a)), np.asarray(getattr(b, "value", b))
-    return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))

@@ -4,12 +4,14 @@ from dataclasses import dataclass
 from enum import IntEnum
 
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey._assignment.allocate import TargetColumns
 from rfpsurvey._assignment.constraints.counts import CountedTargets, sentences
 from rfpsurvey._assignment.constraints.requirement import Requirement
 from rfpsurvey._assignment.constraints.rule import Rule
 from rfpsurvey._assignment.options import AllocationOptions
+from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.units import exact_text, from_lonlat
 from rfpsurvey._field.constraints import Applied, apply_constraints
 from rfpsurvey._field.plan import FieldTargets
@@ -18,7 +20,7 @@ from rfpsurvey._instruments.arms import Arms
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.motion import CollisionReport
-from rfpsurvey._sky.arrays import KINDS, count_also_science, to_kinds
+from rfpsurvey._sky.arrays import KINDS, count_also_science, has_role, to_kinds
 from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.projection import FieldProjection
 from rfpsurvey.errors import InputError, warn
@@ -97,6 +99,58 @@ def category_classes(category: np.ndarray | None, counts: np.ndarray) -> tuple[n
     if len(names) > MOST_CLASSES:
         names = [*names[: MOST_CLASSES - 1], f"{len(names) - MOST_CLASSES + 1} others"]
     return np.minimum(rank, len(names) - 1).astype(np.uint8)[place], names
+
+
+COMPLETENESS = table_of(
+    Column("kind", "kind of the counted targets, or 'all' for every kind"),
+    Column("category", "category of the counted targets, or 'all' for every category"),
+    Column("priority", "priority of the counted targets, or 'all' for every priority"),
+    Column("n_in_field", "number of targets in the field, without science targets of which no visits are requested"),
+    Column("n_reachable", "number of targets in reach of a positioner"),
+    Column("n_assigned", "number of targets with a positioner"),
+    Column("n_observed", "number of targets with a positioner whose arm does not collide"),
+    Column("completeness", "n_observed divided by n_in_field"),
+)
+LOST, OBSERVED, UNREACHED, UNUSED = (
+    OUTCOMES[k] for k in (Outcome.LOST_TO_A_COLLISION, Outcome.OBSERVED, Outcome.OUT_OF_REACH, Outcome.NOT_REQUESTED)
+)
+
+
+def completeness_table(outcomes: QTable, kinds: dict) -> QTable:
+    """Return a table with a row for each kind, each category, and each priority class of science targets.
+
+    ``kinds`` are the `counts_by_kind`, since rules can remove a role of targets.
+    """
+    outcome = np.asarray(outcomes["outcome"])
+    kind = np.asarray(outcomes["kind"]) if "kind" in outcomes.colnames else np.full(len(outcome), "science")
+    science = has_role(kind, "science")
+    masks = {
+        "n_in_field": ~science | (outcome != UNUSED),  # science targets that are not requested are not counted
+        "n_reachable": (outcome != UNREACHED) & (outcome != UNUSED),
+        "n_assigned": (outcome == OBSERVED) | (outcome == LOST),
+        "n_observed": outcome == OBSERVED,
+    }
+    rows = []
+
+    def add(selected, most=None, **labels):
+        counts = [int(np.count_nonzero(mask & selected)) for mask in masks.values()]
+        if most is not None:
+            counts[2:] = [min(counts[2], most["n_assigned"]), min(counts[3], most["n_observed"])]
+        labels = [labels.get(name, "all") for name in ("kind", "category", "priority")]
+        rows.append((*labels, *counts, counts[-1] / max(counts[0], 1)))
+
+    for name in KINDS:
+        if name == "science" or has_role(kind, name).any():
+            add(has_role(kind, name), kinds.get(name), kind=name)
+    if "category" in outcomes.colnames:
+        class_of, names = category_classes(np.asarray(outcomes["category"]), masks["n_in_field"])
+        for k, name in enumerate(names if len(names) > 1 else []):
+            add(class_of == k, category=name)
+    if "priority" in outcomes.colnames:
+        class_of, names = priority_classes(np.asarray(outcomes["priority"]), science & masks["n_in_field"])
+        for k, name in enumerate(names if len(names) > 1 else []):
+            add(science & (class_of == k), kind="science", priority=name)
+    return describe(QTable(rows=rows, names=list(COMPLETENESS)), COMPLETENESS)
 
 
 @dataclass(frozen=True, eq=False)

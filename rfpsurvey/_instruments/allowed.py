@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from rfpsurvey._common.units import locked
-from rfpsurvey._instruments.fibers import edges_exactly
+from rfpsurvey._instruments.joints import edges_exactly
 from rfpsurvey._instruments.reach import make_grid, pairs_within
 from rfpsurvey._kernels import arms, collisions, conflicts
 from rfpsurvey._kernels import arms as reach

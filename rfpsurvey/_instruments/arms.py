@@ -8,8 +8,8 @@ import astropy.units as u
 import numpy as np
 
 from rfpsurvey._common.units import to_plain, to_points_mm, to_radian
-from rfpsurvey._instruments.fibers import to_sides
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joints import to_sides
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.errors import InputError, InputTypeError, check_fiber_type, check_switch
 
@@ -18,18 +18,48 @@ from rfpsurvey.errors import InputError, InputTypeError, check_fiber_type, check
 class Arms:
     """The poses of the arms of all positioners, in mm and radians; NaN for arms that are absent.
 
-    An arm is absent if its positioner can move, has no target, and is not a parked obstacle.
+    An arm is absent if its positioner can move, has no target, and is not a parked obstacle. `place_arms` returns
+    objects of this class.
+
+    Parameters
+    ----------
+    find_angles : callable or None
+        Function that returns the joint angles theta and phi, shape (2, n); it is called when they are used first.
+    elbow, tip : ndarray of float, shape (n, 2)
+        Positions of the elbows and of the fibers.
+    segments : ndarray of float, shape (n, 4)
+        Segments of the arms that can collide, as rows (x0, y0, x1, y1).
+    assigned : ndarray of bool, shape (n,)
+        Whether each positioner has a target.
+    parked : ndarray of bool, shape (n,)
+        Whether each positioner is an obstacle: usable, without target, parked or in a known pose.
+    clipped : ndarray of bool, shape (n,)
+        Whether the target of each positioner is out of reach, by distance or joint limits.
+    fiber : ndarray of int, shape (n,), optional
+        Index of the fiber type in use; None if all fibers are at one place.
+    recorded : ndarray of bool, shape (n,), optional
+        Whether each positioner is idle in a known pose (``idle_angles``).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> arms = rs.collision.place_arms(plane, [[12, 0], [14, 0]] * u.mm)
+    >>> len(rs.find_collisions(plane, arms).pairs)
+    1
     """
 
-    find_angles: Callable[[], np.ndarray] | None  # joint angles theta and phi, shape (2, n); called at first use
+    find_angles: Callable[[], np.ndarray] | None
     elbow: np.ndarray
     tip: np.ndarray
-    segments: np.ndarray  # segments of the arms that can collide, as rows (x0, y0, x1, y1)
-    assigned: np.ndarray  # whether each positioner has a target
-    parked: np.ndarray  # whether each positioner is an obstacle: usable, without target, parked or in a known pose
-    clipped: np.ndarray  # whether the target of each positioner is out of reach, by distance or joint limits
-    fiber: np.ndarray | None = None  # index of the fiber type in use; None if all fibers are at one place
-    recorded: np.ndarray | None = None  # whether each positioner is idle in a known pose (``idle_angles``)
+    segments: np.ndarray
+    assigned: np.ndarray
+    parked: np.ndarray
+    clipped: np.ndarray
+    fiber: np.ndarray | None = None
+    recorded: np.ndarray | None = None
 
     @cached_property
     def _angles(self) -> np.ndarray:
@@ -66,11 +96,48 @@ def place_arms(
     clip: bool = False,
     idle_angles: np.ndarray | None = None,
 ) -> Arms:
-    """Return the poses of all positioners; the parameters are the same as in `find_collisions`.
+    """Return the poses of all positioners, which `~rfpsurvey.find_collisions` accepts instead of positions of fibers.
 
-    If ``clip`` is true, an arm whose tip is out of reach is stretched toward the tip as far as possible.
-    ``idle_angles`` contains the joint angles, in radians and with the shape (2, n), of positioners without a target;
-    NaN if the pose is not known.
+    Parameters
+    ----------
+    focal_plane : FocalPlane
+        The positioners.
+    tips : Quantity, shape (n, 2), optional
+        Position of the fiber of each positioner; NaN for positioners without a target.
+    theta, phi : Quantity, shape (n,), optional
+        Joint angles, instead of ``tips``; NaN for positioners without a target.
+    handedness : {"right", "left"} or array_like of str, shape (n,), optional
+        Handedness of each arm, only with ``tips``; by default, the focal plane determines it.
+    fiber_type : array_like of str, shape (n,), optional
+        Type of the fiber on each target; by default, the first fiber type of each positioner.
+    parked_obstacles : bool, optional
+        Whether positioners without a target are obstacles if their arms have equal lengths.
+    clip : bool, optional
+        Whether an arm whose tip is out of reach is stretched toward the tip as far as possible.
+    idle_angles : ndarray of float, shape (2, n), optional
+        Joint angles, in radians, of positioners without a target; NaN if the pose is not known.
+
+    Returns
+    -------
+    Arms
+        The poses.
+
+    Raises
+    ------
+    InputError
+        If neither ``tips`` nor both angles are given, if an array has a wrong shape, or if a tip is out of reach and
+        ``clip`` is false.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25.6, 0]] * u.mm, robot)
+    >>> arms = rs.collision.place_arms(plane, theta=[0, 90] * u.deg, phi=[0, 90] * u.deg)
+    >>> arms.tip
+    array([[16.5 ,  0.  ],
+           [17.35,  8.25]])
     """
     check_plane(focal_plane)
     n, columns = len(focal_plane), to_columns(focal_plane, fiber_type)

@@ -7,7 +7,7 @@ import numpy as np
 
 from rfpsurvey._common.units import locked, to_mm, to_points_mm, to_radian
 from rfpsurvey._instruments.allowed import AllowedPoses, ArmSegments
-from rfpsurvey._instruments.fibers import MODELS, FiberOffsets, Joints, patrol_radii
+from rfpsurvey._instruments.joints import MODELS, FiberOffsets, Joints, patrol_radii
 from rfpsurvey._instruments.margins import FixedObstacles, to_polygons
 from rfpsurvey._instruments.reach import Neighbors, Reach, accepted_types, find_reach, make_grid
 from rfpsurvey._kernels import arms

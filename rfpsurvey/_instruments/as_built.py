@@ -13,7 +13,7 @@ from astropy.time import Time
 
 from rfpsurvey._common.lazy import importer
 from rfpsurvey._common.read_documents import reading
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._common.units import check_columns, rows_of, to_plain
 from rfpsurvey.errors import InputError, InputTypeError, InputUnitsError, number_of
 

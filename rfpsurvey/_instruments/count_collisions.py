@@ -11,8 +11,8 @@ from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._common.units import to_mm, to_spawner
 from rfpsurvey._instruments.arms import check_plane, check_tips, joints_free, to_columns
 from rfpsurvey._instruments.collision_methods import DEFAULT_METHOD, METHODS
-from rfpsurvey._instruments.fibers import to_sides
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joints import to_sides
 from rfpsurvey._kernels import arms, batch
 from rfpsurvey._kernels.allocation import draw_places
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, number_of

@@ -12,8 +12,9 @@ import astropy.units as u
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.read_documents import entries_of, head_of
-from rfpsurvey._common.read_tables import read_table, to_path
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import check_unique, to_plain
 from rfpsurvey._instruments.as_built import MOST_ANGLE, entry, impossible_entry, number_rows, numbers, some, whole
 from rfpsurvey._instruments.desi_state import find_conditions, find_latest, moment_of, read_polygons

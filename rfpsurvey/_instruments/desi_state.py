@@ -13,8 +13,7 @@ from rfpsurvey._common.read_documents import check_size, content_of, entries_of,
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._instruments.as_built import MOST_ANGLE, is_missing, number_rows, numbers, some, whole
-from rfpsurvey._instruments.division import divide_polygon
-from rfpsurvey._instruments.outline import ArmOutline
+from rfpsurvey._instruments.outline import ArmOutline, divide_polygon
 from rfpsurvey.errors import InputError, number_of, refusing, warn
 
 STATE = ("TIME", "LOCATION", "STATE")

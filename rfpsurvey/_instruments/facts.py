@@ -14,8 +14,8 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 from astropy.table import QTable
 
+from rfpsurvey._common.files import check_output
 from rfpsurvey._common.io import write_table
-from rfpsurvey._common.outputs import check_output
 from rfpsurvey._common.read_documents import parse_json
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._instruments.entries import STATUSES

@@ -16,8 +16,8 @@ from rfpsurvey._instruments.arms import (
     to_tips,
 )
 from rfpsurvey._instruments.collision_methods import DEFAULT_METHOD, METHODS, Configuration, Found, touches_exactly
-from rfpsurvey._instruments.fibers import to_sides
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joints import to_sides
 from rfpsurvey._instruments.motion import CollisionReport
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_switch, check_whole

@@ -9,8 +9,8 @@ import scipy  # its subpackages are imported on first use
 from astropy.table import QTable, Table
 
 from rfpsurvey._common.units import to_points_mm
-from rfpsurvey._instruments import fibers as _kinematics
 from rfpsurvey._instruments import focal_plane_tables as _tables
+from rfpsurvey._instruments import joints as _kinematics
 from rfpsurvey._instruments.arrays import FocalPlaneArrays
 from rfpsurvey._instruments.focal_plane_tables import check_columns
 from rfpsurvey._instruments.margins import Margins

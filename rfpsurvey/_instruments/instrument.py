@@ -14,9 +14,9 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._common.descriptions import to_html
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.plugins import find_plugin, plugin_names
 from rfpsurvey._common.read_documents import is_present
-from rfpsurvey._common.read_tables import to_path
 from rfpsurvey._instruments import description as _description
 from rfpsurvey._instruments.as_built import AsBuilt
 from rfpsurvey._instruments.description import OPTIONAL, Described

@@ -10,8 +10,8 @@ from astropy.table import QTable, Table, vstack
 
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_parquet import import_parquet
-from rfpsurvey._common.read_tables import has_ending, read_table, to_path
+from rfpsurvey._common.files import has_ending, to_path
+from rfpsurvey._common.read_tables import import_parquet, read_table
 from rfpsurvey._common.units import check_columns, to_flags, to_plain, to_radian, to_unit
 from rfpsurvey._instruments import moves as _moves
 from rfpsurvey._instruments.arms import check_plane

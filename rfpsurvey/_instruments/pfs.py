@@ -10,8 +10,8 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._common.files import suffix_of, to_path
 from rfpsurvey._common.read_documents import entries_of, head_of, is_present
-from rfpsurvey._common.read_tables import suffix_of, to_path
 from rfpsurvey._instruments.as_built import entry, impossible_entry
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.pfs_files import (

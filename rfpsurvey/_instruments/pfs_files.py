@@ -6,9 +6,9 @@ import astropy.units as u
 import numpy as np
 import scipy  # its subpackages are imported on first use
 
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.read_documents import check_is_file, content_of, sentence
-from rfpsurvey._common.read_parquet import is_number
-from rfpsurvey._common.read_tables import read_table, to_path
+from rfpsurvey._common.read_tables import is_number, read_table
 from rfpsurvey._common.units import check_unique
 from rfpsurvey._instruments.as_built import is_missing, number_rows
 from rfpsurvey.errors import InputError

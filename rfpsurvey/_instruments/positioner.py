@@ -8,7 +8,7 @@ import numpy as np
 
 from rfpsurvey._common.settings import Checked, option
 from rfpsurvey._common.units import ByValue, to_points_mm, to_radian
-from rfpsurvey._instruments.numbers import PositionerNumbers
+from rfpsurvey._instruments.joints import PositionerNumbers
 from rfpsurvey._instruments.outline import ArmOutline
 from rfpsurvey._kernels import arms
 from rfpsurvey.errors import InputError, check_choice, check_keywords

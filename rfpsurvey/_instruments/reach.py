@@ -11,7 +11,7 @@ import numpy as np
 import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._common.units import locked, to_generator, to_plain
-from rfpsurvey._instruments.fibers import edges_exactly
+from rfpsurvey._instruments.joints import edges_exactly
 from rfpsurvey._kernels import arms as reach
 from rfpsurvey.errors import InputError, check_whole
 

@@ -14,8 +14,9 @@ from pathlib import Path
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.read_documents import is_present
-from rfpsurvey._common.read_tables import read_table, to_path
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import check_unique, to_plain
 from rfpsurvey._instruments.as_built import ROW, entry, impossible_entry, is_missing, number_rows
 from rfpsurvey._instruments.focal_plane import FocalPlane

@@ -16,8 +16,7 @@ import numpy as np
 from astropy.table import Column, Table
 from astropy.time import Time
 
-from rfpsurvey._common.read_parquet import is_number
-from rfpsurvey._common.read_tables import read_table
+from rfpsurvey._common.read_tables import is_number, read_table
 from rfpsurvey._common.units import check_columns, to_labels, to_plain
 from rfpsurvey._instruments.as_built import MOST_ANGLE, MOST_DEVICE, N_PETALS, ROW, numbers, whole
 from rfpsurvey._instruments.desi_state import moment_of

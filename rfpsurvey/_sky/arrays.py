@@ -15,9 +15,8 @@ from astropy.table import QTable, Table
 from astropy.utils.masked import Masked
 from astropy.utils.shapes import ShapedLikeNDArray
 
-from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS, TILE_COLUMNS, VISITS_COLUMNS
-from rfpsurvey._common.outputs import check_text
-from rfpsurvey._common.read_parquet import is_known, without_unit
+from rfpsurvey._common.files import check_text
+from rfpsurvey._common.read_tables import is_known, without_unit
 from rfpsurvey._common.units import locked, to_plain, to_vectors
 from rfpsurvey._kernels import sky
 from rfpsurvey._kernels import sky as zones
@@ -98,8 +97,11 @@ def count_roles(kind: np.ndarray) -> str:
     return "roles: " + ", ".join(f"{number[roles]} {roles.replace('+', ' and ')}" for roles in order)
 
 
-RESERVED = frozenset({"tile", *TILE_COLUMNS, *OUTCOMES_COLUMNS, *VISITS_COLUMNS})
-"""Names of the columns that results always contain."""
+RESERVED = {"tile", "id", "positioner", "spectrograph", "x", "y", "status", "target_id", "target_row", "ra", "dec"}
+RESERVED |= {"kind", "category", "priority", "fiber_type", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y"}
+RESERVED |= {"in_collision", "colliding_with", "needs_planner", "clearance", "arm_x", "arm_y", "outcome", "observed"}
+"""Names of the columns of results, which ``_field/table.py`` (`TILE_COLUMNS`, `OUTCOMES_COLUMNS`) and
+``_survey/work.py`` (`VISITS_COLUMNS`) describe; a test compares them."""
 MOST_EXACT = 2**53
 COLUMN_KINDS = {"b": "b", "i": "i", "u": "i", "f": "f", "U": "U", "S": "U"}
 

@@ -14,11 +14,10 @@ from astropy.time import Time
 from rfpsurvey._common import io as _io
 from rfpsurvey._common import units as _units
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_tables import lacks_units
+from rfpsurvey._common.files import lacks_units
 from rfpsurvey._sky import tables as _tables
 from rfpsurvey._sky.arrays import CatalogArrays, extra_columns, to_kinds
-from rfpsurvey._sky.example_files import path_and_name, read_table
-from rfpsurvey._sky.origin import EXACT, exact_columns, origin_of
+from rfpsurvey._sky.catalog_files import EXACT, exact_columns, origin_of, path_and_name, read_table
 from rfpsurvey._sky.time import known_epochs, move_coordinates, moving, to_time
 from rfpsurvey.errors import InputError, check_keywords, check_switch, number_of, refusal, warn
 

@@ -7,7 +7,7 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._common.units import rows_of, to_labels, to_numbers, to_plain
 from rfpsurvey._sky.survey_formats import SurveyFormat, find_format
 from rfpsurvey.errors import InputError, check_choice, listed, refusal, short, warn

@@ -10,8 +10,8 @@ import numpy as np
 from astropy.coordinates import EarthLocation
 from astropy.time import Time
 
+from rfpsurvey._common.files import to_path
 from rfpsurvey._common.read_documents import read_toml
-from rfpsurvey._common.read_tables import to_path
 from rfpsurvey._common.settings import Settings, option
 from rfpsurvey._common.units import value_of
 from rfpsurvey._sky.time import to_moment

@@ -7,7 +7,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
-from rfpsurvey._common.read_tables import read_table, to_path
+from rfpsurvey._common.files import to_path
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import ByValue, check_columns, to_mm, to_scalar, to_unit
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_keywords, check_whole, refusal
 

@@ -3,7 +3,7 @@
 import numpy as np
 from astropy.table import Table
 
-from rfpsurvey._common.read_parquet import is_number, table_of_arrow
+from rfpsurvey._common.read_tables import is_number, table_of_arrow
 from rfpsurvey._sky.columns import Finder
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of, refusal, short
 

@@ -9,15 +9,14 @@ import numpy as np
 from astropy.coordinates import BaseCoordinateFrame, SkyCoord
 from astropy.table import MaskedColumn, Table
 
+from rfpsurvey._common.files import check_new_folder, check_texts, to_path
 from rfpsurvey._common.io import temporary_folder
-from rfpsurvey._common.outputs import check_new_folder, check_texts
 from rfpsurvey._common.read_documents import content_of, is_present
-from rfpsurvey._common.read_parquet import import_parquet, unit_metadata
-from rfpsurvey._common.read_tables import to_path
+from rfpsurvey._common.read_tables import import_parquet, unit_metadata
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky.catalog import Catalog
+from rfpsurvey._sky.catalog_files import origin_of
 from rfpsurvey._sky.frames import is_table
-from rfpsurvey._sky.origin import origin_of
 from rfpsurvey._sky.parts import INDEX_ORDER, Partitions
 from rfpsurvey._sky.tables import catalog_roles
 from rfpsurvey._sky.time import to_time

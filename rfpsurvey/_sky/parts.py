@@ -10,7 +10,7 @@ import numpy as np
 from astropy.table import Table, vstack
 
 from rfpsurvey._common.read_documents import check_is_file, reading
-from rfpsurvey._common.read_parquet import import_parquet, read_parquet
+from rfpsurvey._common.read_tables import import_parquet, read_parquet
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.columns import ROLES as COLUMN_ROLES

@@ -7,7 +7,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._common.units import ByValue, to_center, to_plain, to_scalar, to_vectors
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky import shapes as _shapes

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 
 from rfpsurvey._common.units import to_center, to_generator, to_lonlat, to_scalar, to_unit, to_vectors
 from rfpsurvey._sky.catalog import Catalog
-from rfpsurvey._sky.example_files import EXAMPLES, PREFIX
+from rfpsurvey._sky.catalog_files import EXAMPLES, PREFIX
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_keywords, is_real, refusal, warn_no_effect
 
 CLUSTER_SIZE = 10.0

@@ -6,7 +6,7 @@ from astropy.coordinates import Angle, SkyCoord, frame_transform_graph
 from astropy.table import QTable, Table
 from astropy.time import Time
 
-from rfpsurvey._common.read_parquet import is_number
+from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._common.units import rows_of, to_labels
 from rfpsurvey._sky.arrays import count_roles, has_role, pick_columns, result_name, to_kinds
 from rfpsurvey._sky.columns import Finder

@@ -10,7 +10,7 @@ from astropy.coordinates import SkyCoord
 from astropy.time import Time
 from astropy.utils.masked import Masked
 
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._common.units import rows_of, to_axes, to_lonlat
 from rfpsurvey.errors import INCONVERTIBLE, InputError, is_real, refusal, short, warn
 

@@ -10,10 +10,10 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._common.files import WRITABLE, check_output, to_path
 from rfpsurvey._common.folder import check_request, locked, warn_of_software
 from rfpsurvey._common.io import write_table
-from rfpsurvey._common.outputs import WRITABLE, check_output
-from rfpsurvey._common.read_tables import read_table, to_path
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_mm, to_plain
 from rfpsurvey._field.facts import versions
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, check_switch, check_whole, refusal

@@ -6,7 +6,7 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
-from rfpsurvey._common.read_tables import to_path
+from rfpsurvey._common.files import to_path
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.plan import plan_survey
 from rfpsurvey._survey.plan_file import call_of, keys_in

@@ -10,7 +10,7 @@ from astropy.time import Time
 from rfpsurvey._assignment.methods import METHODS
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import help_of
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._common.settings import Option, option
 from rfpsurvey._instruments.margins import Margins
 from rfpsurvey._sky.conditions import ObservingConditions

@@ -18,7 +18,7 @@ import astropy.units as u
 import numpy as np
 from astropy.time import Time
 
-from rfpsurvey._common.read_parquet import has_other_digits
+from rfpsurvey._common.read_tables import has_other_digits
 from rfpsurvey._common.settings import OptionField, extra_of, help_texts, members_of, options_of
 from rfpsurvey._sky.region import Region
 from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, close_to, listed, short

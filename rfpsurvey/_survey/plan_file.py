@@ -22,7 +22,7 @@ from rfpsurvey._common.settings import Settings, options_of
 from rfpsurvey._common.units import to_center
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey._sky.catalog import Catalog
-from rfpsurvey._sky.origin import EXACT, write_exactly
+from rfpsurvey._sky.catalog_files import EXACT, write_exactly
 from rfpsurvey._sky.partitions import PartitionedCatalog
 from rfpsurvey._sky.region import Region
 from rfpsurvey._sky.synthetic import synthetic_catalog
@@ -45,8 +45,8 @@ DEFAULT_CENTER = "06h20m00s +23d00m00s"
 GIVEN = "given in Python"
 LACKING = {"rule": "rule.function", "allocator": "options.allocator", "instrument": "instrument.name"}
 """Keys that have the value ``GIVEN`` if the file cannot contain a parameter, so that no default value replaces it."""
-TILE_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date", "mjd"}
-TILE_COLUMNS |= {"skybrightness", "sky_brightness"}
+TILING_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date"}
+TILING_COLUMNS |= {"mjd", "skybrightness", "sky_brightness"}
 """Columns of tables of tiles that surveys use."""
 
 
@@ -333,7 +333,7 @@ def _stored(place: Path, name: str, write: Callable[[Path], None]) -> str:
 
 def _write_tiles(tiling: Tiling, path: Path, *, overwrite: bool) -> None:
     """Write the columns of a tiling that surveys use."""
-    names = [name for name in tiling.table.colnames if name.lower() in TILE_COLUMNS]
+    names = [name for name in tiling.table.colnames if name.lower() in TILING_COLUMNS]
     meta = {name: tiling.table.meta[name] for name in ("conditions", "summary") if name in tiling.table.meta}
     write_table(QTable(tiling.table[names], meta=meta), path, overwrite=overwrite)
 

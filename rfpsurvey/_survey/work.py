@@ -15,11 +15,12 @@ from typing import NamedTuple
 import numpy as np
 
 from rfpsurvey._assignment.options import AllocationOptions
-from rfpsurvey._common.descriptions import COPIED, VISITS_COLUMNS, text_of
+from rfpsurvey._common.descriptions import COPIED, Column, table_of, text_of
 from rfpsurvey._common.executors import IN_FLIGHT, in_order
 from rfpsurvey._common.io import fits_bytes, table_cards, write_new_file
 from rfpsurvey._field.constraints import early_violations
 from rfpsurvey._field.plan import BlankIds, FieldPlan, FieldReach, find_reach, plan_field
+from rfpsurvey._field.table import TARGET_COLUMNS, TARGET_ID, TILE_COLUMNS
 from rfpsurvey._field.targets import FieldRows
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._sky.arrays import KINDS, count_also_science, has_role
@@ -40,6 +41,16 @@ from rfpsurvey.errors import listed, number_of
 
 SEEN, REACHED, LOST_IN_COLLISION, DONE, EXCLUDED = 1, 2, 4, 8, 16
 """Flags that record in which fields and in reach of which positioners a target of a survey was."""
+VISITS_COLUMNS = table_of(
+    TARGET_ID,
+    Column("target_row", "row in the catalog, -1 for blank sky"),
+    Column("positioner", "identifier of the positioner"),
+    Column("in_collision", TILE_COLUMNS["in_collision"].text),
+    Column("observed", "whether the visit counts as an observation"),
+    TILE_COLUMNS["fiber_type"],
+    *TARGET_COLUMNS,
+)
+"""Columns of the visits of a tile of a survey."""
 VISITS_UNITS = {name: column.unit for name, column in VISITS_COLUMNS.items() if column.unit}
 
 

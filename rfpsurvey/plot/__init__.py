@@ -8,10 +8,10 @@ from rfpsurvey.plot._comparisons import draw_instruments, plot_allocators, plot_
 from rfpsurvey.plot._designs import plot_designs, plot_probability, plot_residuals
 from rfpsurvey.plot._focal_plane import plot_focal_plane, plot_targets
 from rfpsurvey.plot._focal_plane_maps import plot_collision_map, plot_coverage
-from rfpsurvey.plot._quality import plot_quality
+from rfpsurvey.plot._quality import draw_survey, plot_quality
 from rfpsurvey.plot._sky import draw_tiling, plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
-from rfpsurvey.plot._survey import draw_survey, plot_completeness, plot_selection, plot_survey_status
+from rfpsurvey.plot._survey import plot_completeness, plot_selection, plot_survey_status
 
 __all__ = [
     "COLORINGS",

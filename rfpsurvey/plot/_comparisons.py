@@ -154,7 +154,33 @@ def plot_instruments(table: QTable, *, ax: Axes | None = None, **kwargs: object)
 
 
 def draw_instruments(table: QTable, figure: Figure | None = None) -> Figure:
-    """Return a figure with three panels: reach, use of fibers, and collision probability of each instrument."""
+    """Draw a figure with three panels: reach, use of fibers, and collision probability of each instrument.
+
+    Parameters
+    ----------
+    table : QTable
+        Table that `rfpsurvey.compare_instruments` returned.
+    figure : matplotlib.figure.Figure, optional
+        Figure to draw on; by default, a new figure is created.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    InputError
+        If ``table`` lacks a column that the plot shows.
+
+    Examples
+    --------
+    >>> import rfpsurvey as rs
+    >>> table = rs.compare_instruments("poisson", ["sdss_apo", "moons"], n_realizations=1)
+    >>> len(rs.plot.draw_instruments(table).axes)
+    3
+    """
+    check_columns(table, {"instrument", "probability", "low", "high", "reach_0", "reach_3"}, "compare_instruments")
     size = 11, 1.9 + 0.34 * len(table)
     figure = new_figure(*size, w_pad=0.1) if figure is None else figure
     figure.set_size_inches(size)

@@ -4,13 +4,15 @@ from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
+from astropy.coordinates import SkyCoord
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from rfpsurvey._assignment.constraints.requirement import Requirement
-from rfpsurvey._common.descriptions import OUTCOMES_COLUMNS
+from rfpsurvey._field.table import OUTCOMES_COLUMNS
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._field.verdicts import Outcome
 from rfpsurvey._sky.arrays import has_role
@@ -33,7 +35,9 @@ from rfpsurvey.plot._axes import (
 )
 from rfpsurvey.plot._classes import ASSIGNED, OUTCOME_COLORS, by_name, short_names, stacked_bars
 from rfpsurvey.plot._focal_plane import codes_of, outcomes_of
-from rfpsurvey.plot._survey import class_rows, draw_survey_quality
+from rfpsurvey.plot._sky import plot_tiling, radius_of
+from rfpsurvey.plot._sky_map import is_wide
+from rfpsurvey.plot._survey import class_rows, draw_survey_quality, plot_completeness
 
 MOST_BARS, MOST_CATEGORIES = 16, 8
 MOST_SERIES = 6
@@ -331,3 +335,41 @@ def _fraction(part, whole):
     n, p = np.maximum(whole, 1), part / np.maximum(whole, 1)
     middle, half = (p + 0.5 / n) / (1 + 1 / n), np.sqrt(p * (1 - p) / n + 0.25 / n**2) / (1 + 1 / n)
     return p, np.maximum([p - middle + half, middle + half - p], 0)
+
+
+def draw_survey(survey: Survey) -> Figure:
+    """Draw a figure with two panels: a map of the tiles, colored by completeness, and the completeness curve.
+
+    Parameters
+    ----------
+    survey : Survey
+        Survey to plot.
+
+    Returns
+    -------
+    matplotlib.figure.Figure
+        The figure.
+
+    Raises
+    ------
+    InputError
+        If ``survey`` is not a survey.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> from astropy.coordinates import SkyCoord
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=400, rng=1)
+    >>> survey = rs.plan_survey(sky, "desi", SkyCoord([95, 95.1] * u.deg, [23, 23] * u.deg))
+    >>> len(rs.plot.draw_survey(survey).axes) > 1
+    True
+    """
+    if not isinstance(survey, Survey):
+        raise InputTypeError(f"survey must be a Survey, got {type(survey).__name__}")
+    wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))
+    figure = new_figure(14, 4.8, w_pad=0.15, h_pad=0.1)
+    left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
+    plot_tiling(survey, ax=figure.add_subplot(left, projection="aitoff" if wide else None))
+    plot_completeness(survey, ax=figure.add_subplot(right))
+    return figure

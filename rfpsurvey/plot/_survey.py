@@ -1,11 +1,9 @@
 """Plots of surveys: completeness, selection probabilities, status, and the quality of a survey."""
 
 import numpy as np
-from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from matplotlib.axes import Axes
 from matplotlib.dates import ConciseDateFormatter, date2num
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
@@ -29,12 +27,9 @@ from rfpsurvey.plot._axes import (
     legend_line,
     light_scale,
     new_axes,
-    new_figure,
     new_grid,
 )
 from rfpsurvey.plot._classes import KIND_COLORS, OUTCOME_COLORS, by_name, stacked_bars
-from rfpsurvey.plot._sky import plot_tiling, radius_of
-from rfpsurvey.plot._sky_map import is_wide
 
 
 def plot_completeness(survey: Survey, *, ax: Axes | None = None, **kwargs: object) -> Axes:
@@ -93,16 +88,6 @@ def plot_completeness(survey: Survey, *, ax: Axes | None = None, **kwargs: objec
     ax.set(xlim=(0, 1.03 * len(tiles)), ylim=(0, 1.02), xlabel="tiles", ylabel="completeness")
     ax.legend(fontsize="small", loc="best")
     return ax
-
-
-def draw_survey(survey: Survey) -> Figure:
-    """Return a figure with two panels: a map of the tiles, colored by completeness, and the completeness curve."""
-    wide = is_wide(SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey))
-    figure = new_figure(14, 4.8, w_pad=0.15, h_pad=0.1)
-    left, right = figure.add_gridspec(1, 2, width_ratios=(1.3, 1))
-    plot_tiling(survey, ax=figure.add_subplot(left, projection="aitoff" if wide else None))
-    plot_completeness(survey, ax=figure.add_subplot(right))
-    return figure
 
 
 N_BINS = 20

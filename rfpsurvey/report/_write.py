@@ -8,9 +8,8 @@ from pathlib import Path
 
 from astropy.table import QTable, Table
 
+from rfpsurvey._common.files import check_output, to_path
 from rfpsurvey._common.io import writing_to
-from rfpsurvey._common.outputs import check_output
-from rfpsurvey._common.read_tables import to_path
 from rfpsurvey._field.facts import versions
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._studies.compare_instruments import PARTS

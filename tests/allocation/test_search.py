@@ -146,7 +146,7 @@ def test_how_aims_are_put_together_does_not_matter(monkeypatch, seed, steep, lar
     }
     usual = flat.allocate(plane, xy, **options)
     for name, value in {"LARGE": 0, "STEEP": steep, "LARGEST": largest}.items():
-        monkeypatch.setattr(f"rfpsurvey._assignment.lexicographic.{name}", value)
+        monkeypatch.setattr(f"rfpsurvey._assignment.objectives.{name}", value)
     found = flat.allocate(plane, xy, **options)
     assert (found.levels, found.gap) == (usual.levels, 0)
 

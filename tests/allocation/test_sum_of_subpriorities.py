@@ -9,7 +9,7 @@ from astropy.table import QTable
 import flat
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
-from rfpsurvey._assignment.lexicographic import _Pursuit
+from rfpsurvey._assignment.objectives import _Pursuit
 from rfpsurvey._field.facts import tile_objectives
 from rule_scenes import CENTER, Scene
 from scenes import random_scene

@@ -7,7 +7,7 @@ from astropy.table import QTable
 
 import rfpsurvey as rs
 from rfpsurvey._studies import benchmark_collisions as benchmark
-from rfpsurvey.benchmark import random_tips
+from rfpsurvey._studies.benchmark_probability import random_tips
 from scenes import sdss_like
 
 METHOD = QTable({"method": ["exact"]})

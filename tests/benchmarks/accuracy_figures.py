@@ -9,7 +9,7 @@ from measure import hexagon
 
 import rfpsurvey as rs
 from rfpsurvey._kernels import collisions
-from rfpsurvey.benchmark import random_tips
+from rfpsurvey._studies.benchmark_probability import random_tips
 from rfpsurvey.collision import place_arms
 
 GEOMETRIES = {"LAMOST": (8.25, 8.25, 2.25, 25.6, 36), "SDSS-V": (7.4, 15.0, 2.5, 22.4, 36, 0.1)}

@@ -13,7 +13,7 @@ import numpy as np
 
 import rfpsurvey as rs
 from rfpsurvey._studies.benchmark_collisions import COMPARED, _case
-from rfpsurvey.benchmark import random_tips
+from rfpsurvey._studies.benchmark_probability import random_tips
 
 RUNS = [("exact", 2), ("endpoints", 2), *(("sampled", n) for n in (3, 5, 9, 65)), ("every_pair", 2)]
 RUNS += [("shapely", 2), ("scipy", 2), ("sweep", 65)]

@@ -16,7 +16,7 @@ from measure import arguments, hexagon, timed
 
 import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
-from rfpsurvey.benchmark import random_tips
+from rfpsurvey._studies.benchmark_probability import random_tips
 from rfpsurvey.collision import place_arms
 
 BLOCK = 10

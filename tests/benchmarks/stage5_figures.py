@@ -19,6 +19,7 @@ from astropy.coordinates import SkyCoord
 from measure import arguments, machine, timed
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.modules import grouped_modules
 
 CENTER = SkyCoord("10h +20d")
 ALLOCATORS = ("nearest", "balanced", "repair", "optimal")
@@ -127,7 +128,7 @@ def surface(_options):
 def _flat(name):
     """Return the centers of the modules on the flat grid, in the order of the preset."""
     radius, whole = {"must": (520.0, True), "spec_s5": (340.0, False)}[name]
-    return rs.focal_plane.grouped_modules(73.8, 0.3, 4.4, radius, whole=whole)[0]
+    return grouped_modules(73.8, 0.3, 4.4, radius, whole=whole)[0]
 
 
 def arms(_options):
@@ -147,7 +148,7 @@ def gaps(_options):
     sky, places = sky_for(must, 1), rs.focal_plane.triangle(6.2 * u.mm, 11, corners=False)
     for gap in (0.0, 2.0, 4.4, 8.0):
         edge = 147.6 + 3**0.5 * (gap + 0.6)
-        xy, turn, _ = rs.focal_plane.grouped_modules(73.8, 0.3, gap, 520.0 * edge / 156.26, whole=True)
+        xy, turn, _ = grouped_modules(73.8, 0.3, gap, 520.0 * edge / 156.26, whole=True)
         layout = {"centers": xy * u.mm, "rotation": turn * u.rad, "places": places}
         plane = rs.FocalPlane.from_modules(must.focal_plane.positioner, **layout)
         first, four = visits(replace(must, focal_plane=plane), sky)

@@ -21,7 +21,7 @@ import rfpsurvey as rs
 from kaiju_grid import make_grid, set_poses
 from rfpsurvey._kernels import batch as reference
 from rfpsurvey._kernels import collisions
-from rfpsurvey.benchmark import random_tips
+from rfpsurvey._studies.benchmark_probability import random_tips
 from rfpsurvey.collision import place_arms
 
 GEOMETRIES = {"lamost": (8.25, 8.25, 2.25, 25.6, 36), "sdss": (7.4, 15.0, 2.5, 22.4, 36, 0.1)}

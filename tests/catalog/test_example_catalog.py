@@ -10,8 +10,8 @@ import setuptools
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey._sky import example_files as _example_files
-from rfpsurvey._sky.example_files import unpack
+from rfpsurvey._sky import catalog_files as _catalog_files
+from rfpsurvey._sky.catalog_files import unpack
 
 ROOT = Path(__file__).parents[2]
 
@@ -40,7 +40,7 @@ def test_an_unknown_name_lists_the_examples():
 
 
 def test_a_missing_file_is_named(monkeypatch, tmp_path):
-    monkeypatch.setattr(_example_files, "_PLACES", ((tmp_path, ".packed"),))
+    monkeypatch.setattr(_catalog_files, "_PLACES", ((tmp_path, ".packed"),))
     refused(r"must contain .*ecsv.packed, but the file is missing: install rfpsurvey", rs.example_catalog)
 
 
@@ -79,7 +79,7 @@ def test_a_wheel_contains_the_file(tmp_path, monkeypatch, tycho, editable):
     folder = tmp_path / "rfpsurvey" / "_sky" / "examples"
     assert folder.exists() != editable
     if not editable:
-        monkeypatch.setattr(_example_files, "_PLACES", ((folder, ".packed"),))
+        monkeypatch.setattr(_catalog_files, "_PLACES", ((folder, ".packed"),))
         [path] = folder.iterdir()
         assert path.name == "tycho2_anticenter_r5.ecsv.packed"
         assert path.stat().st_size < 120_000

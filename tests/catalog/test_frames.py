@@ -8,6 +8,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import MaskedColumn, QTable, Table
 from astropy.time import Time
+from pfs_files import target_list
 from raising import refused, warned
 
 import rfpsurvey as rs
@@ -307,3 +308,24 @@ def test_values_are_selected_as_numbers_and_flags(values, value, rows):
 def test_missing_values_are_not_selected():
     table = Table({"ra": [1.0, 2.0], "dec": [0.0, 0.0], "own": MaskedColumn([1, 2], mask=[False, True])})
     refused("own=--, which selects no row", rs.Catalog.from_table, table, select={"own": "--"})
+
+
+def test_rows_of_a_table_are_selected(tmp_path, run):
+    table = target_list(resolution=["L", "M", "L", "M"])
+    catalog = rs.Catalog.from_table(table, select={"resolution": "M", "priority": 9})
+    assert catalog.id.tolist() == [4003]
+    assert catalog.meta["columns"].endswith("; selected: resolution=M, priority=9 (1 of 4 rows)")
+    for select, message in (
+        ({"resolution": "H"}, "select must leave at least one row, got resolution=H, which selects no row"),
+        ({"other": 1}, "select: there is no column 'other'"),
+        (["resolution"], "select must be a dict"),
+    ):
+        refused(message, rs.Catalog.from_table, table, select=select)
+    table["ra"] += 0.2 * np.arange(4)
+    table.write(tmp_path / "list.csv")
+    common = "plan", tmp_path / "list.csv", "--instrument", "pfs"
+    code, _, err = run(*common)
+    assert (code, "--set catalog.select.resolution=M" in err) == (2, True)
+    code, out, err = run(*common, "--set", "catalog.select.resolution=M")
+    assert code == 0, err
+    assert "selected: resolution=M (2 of 4 rows)" in " ".join(out.split())

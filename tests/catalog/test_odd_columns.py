@@ -2,6 +2,8 @@
 
 import astropy.units as u
 import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
@@ -125,3 +127,20 @@ def test_identifiers_and_tables_with_control_characters_are_refused(tmp_path):
     table["note"] = "a\nb"
     with pytest.raises(rs.InputError, match="the column 'note' must be valid Unicode text without line breaks"):
         rs.Tile(table).write(tmp_path / "tile.ecsv")
+
+
+def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
+    """The properties name the columns.
+
+    There are two orders, several files per pixel, no identifiers and no Dir level.
+    """
+    root = tmp_path / "foreign"
+    for order, pixel, name in ((1, 0, "Npix=0.parquet"), (2, 4, "Npix=4/a.parquet"), (2, 4, "Npix=4/b.parquet")):
+        path = root / f"Norder={order}" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        pq.write_table(pa.table({"RA_x": [45.0 + pixel, 46.0], "DEC_x": [1.0, 2.0], "flux": [1.0, 2.0]}), path)
+    (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
+    parts = rs.catalog.PartitionedCatalog(root)
+    assert parts.read().id.tolist() == list(range(6))
+    assert repr(parts) == "<PartitionedCatalog of 6 targets in 3 partitions>"
+    assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]

@@ -257,23 +257,6 @@ def test_bad_options(folder, options):
     refused(f"{next(iter(options))} must be", lambda: rs.catalog.PartitionedCatalog(folder, **options))
 
 
-def test_a_foreign_catalog_with_names_of_its_own(small, tmp_path):
-    """The properties name the columns.
-
-    There are two orders, several files per pixel, no identifiers and no Dir level.
-    """
-    root = tmp_path / "foreign"
-    for order, pixel, name in ((1, 0, "Npix=0.parquet"), (2, 4, "Npix=4/a.parquet"), (2, 4, "Npix=4/b.parquet")):
-        path = root / f"Norder={order}" / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        pq.write_table(pa.table({"RA_x": [45.0 + pixel, 46.0], "DEC_x": [1.0, 2.0], "flux": [1.0, 2.0]}), path)
-    (root / "properties").write_text("# made elsewhere\nhats_col_ra = RA_x\nhats_col_dec=DEC_x\n")
-    parts = rs.catalog.PartitionedCatalog(root)
-    assert parts.read().id.tolist() == list(range(6))
-    assert repr(parts) == "<PartitionedCatalog of 6 targets in 3 partitions>"
-    assert parts.read().coord.ra.deg[:2].tolist() == [45.0, 46.0]
-
-
 def write(path, **columns):
     path.parent.mkdir(parents=True, exist_ok=True)
     pq.write_table(pa.table(columns), path)

@@ -365,27 +365,6 @@ def test_joined_files_of_desi_are_read():
     assert rs.Catalog.from_table(vstack([targets, sky])).kind.tolist() == ["science", "science", "sky"]
 
 
-def test_rows_of_a_table_are_selected(tmp_path, run):
-    table = target_list(resolution=["L", "M", "L", "M"])
-    catalog = rs.Catalog.from_table(table, select={"resolution": "M", "priority": 9})
-    assert catalog.id.tolist() == [4003]
-    assert catalog.meta["columns"].endswith("; selected: resolution=M, priority=9 (1 of 4 rows)")
-    for select, message in (
-        ({"resolution": "H"}, "select must leave at least one row, got resolution=H, which selects no row"),
-        ({"other": 1}, "select: there is no column 'other'"),
-        (["resolution"], "select must be a dict"),
-    ):
-        refused(message, rs.Catalog.from_table, table, select=select)
-    table["ra"] += 0.2 * np.arange(4)
-    table.write(tmp_path / "list.csv")
-    common = "plan", tmp_path / "list.csv", "--instrument", "pfs"
-    code, _, err = run(*common)
-    assert (code, "--set catalog.select.resolution=M" in err) == (2, True)
-    code, out, err = run(*common, "--set", "catalog.select.resolution=M")
-    assert code == 0, err
-    assert "selected: resolution=M (2 of 4 rows)" in " ".join(out.split())
-
-
 def test_offsets_of_candidates_of_sdssv_are_added_to_the_positions():
     """The offsets were among the columns that are not used."""
     offsets = {"delta_ra": [30.0, -9999.99], "delta_dec": [-40.0, 0.0], "pmra": [10.0, 0.0], "pmdec": [5.0, 1.0]}

@@ -64,7 +64,9 @@ def test_arms_that_collide_in_the_plan_are_named(refused, tile, tmp_path):
     assert tile.summary["n_colliding"] > 0
     tile.write(tmp_path / "tile.fits")
     sentence = refused("paths", tmp_path / "tile.fits")
-    assert sentence.startswith("rfpsurvey: the arms must not collide in the poses of the plan, but the arms of the positioners R")
+    assert sentence.startswith(
+        "rfpsurvey: the arms must not collide in the poses of the plan, but the arms of the positioners R"
+    )
 
 
 def test_the_instrument_of_a_tile_must_fit(tile):

@@ -380,9 +380,8 @@ def test_limits_of_a_role_take_only_this_role_from_a_science_target(sky, small, 
     assert {one["verdict"] for one in tile.rules} == {"pass"}
     score = rs.score_tile(tile.table, small, constraints=[limits, needs])
     assert {one["verdict"] for one in score.rules} == {"pass"}
-    plain = plan(
-        catalog, small, ["magnitude mag 9.5 14 science"], allocator
-    )  # of a rule on science, the target is excluded
+    # of a rule on science, the target is excluded
+    plain = plan(catalog, small, ["magnitude mag 9.5 14 science"], allocator)
     assert fits[with_fiber(plain, catalog)].all()
     table["kind"] = kind[rows]  # a finished plan states which fibers are standards
     scored = {one["rule"]: one["number"] for one in rs.score_tile(table, small, constraints=[limits, needs]).rules}

@@ -141,3 +141,17 @@ def tile(path, *, per_petal=500, edit=None, seed=2, header=None):
         found.append(hdu)
     fits.HDUList(found).writeto(path)
     return table
+
+
+def folder_with_state(folder, *, per_petal):
+    """Write a focal plane with few positioners, its state with events, and its exclusions; return the folder."""
+    table = focal_plane(folder / "desi-focalplane_2020-01-01T00:00:00.ecsv", per_petal=per_petal)
+    events = [
+        {"TIME": "2021-01-01T00:00:00+00:00", "LOCATION": 1003, "STATE": 2, "POS_T": 10.0, "POS_P": 100.0},
+        {"TIME": "2022-01-01T00:00:00", "LOCATION": 1003, "STATE": 0},
+        {"TIME": "2022-01-01T00:00:00", "LOCATION": 1004, "STATE": 4, "POS_T": 1.0, "POS_P": 90.0},
+        {"TIME": "2023-01-01T00:00:00", "LOCATION": 1005, "STATE": 8, "MIN_P": 100.0, "EXCLUSION": "retracted"},
+    ]
+    state(folder / "desi-state_2020-01-01T00:00:00.ecsv", table, events)
+    exclusions(folder / "desi-exclusion_2020-01-01T00:00:00.json.gz", ("default", "retracted"))
+    return folder

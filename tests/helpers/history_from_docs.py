@@ -110,7 +110,6 @@ class DocumentedHistory:
             is_clear = False
         plan = valid[-1].plans.get(tile) if is_clear else None
         if targets is not None and (plan is None or not plan.targets <= targets):
-            # not documented: a plan with only some of these targets also counts, and the table is then refused
             plan = [plan, *(other for other in possible if other.targets <= targets)][-1]
         return plan if plan in possible else None
 

@@ -10,7 +10,7 @@ from text_tables import text_table
 import flat
 import rfpsurvey as rs
 from rfpsurvey.plot._comparisons import draw_instruments
-from rfpsurvey.plot._survey import draw_survey
+from rfpsurvey.plot._quality import draw_survey
 
 CENTER = SkyCoord(95, 23, unit="deg")
 MM = u.mm

@@ -11,6 +11,7 @@ from raising import refused
 import flat
 import rfpsurvey as rs
 from oracles import balanced_queues, expectation
+from rfpsurvey._studies.benchmark_probability import random_tips
 from rfpsurvey._studies.quadrature import environments
 from scenes import MM, SCENES, both_hands, lamost_like, sdss_like, with_troubles
 
@@ -312,10 +313,7 @@ def test_the_probability_of_outlines_is_the_rate_of_random_configurations(preset
     desi = presets["desi"]
     found = rs.collision_probability(desi, method="quadrature", precision=1e-3, rng=0)
     rng = np.random.default_rng(1)
-    rates = [
-        rs.find_collisions(desi.focal_plane, rs.benchmark.random_tips(desi.focal_plane, rng) * u.mm).rate
-        for _ in range(20)
-    ]
+    rates = [rs.find_collisions(desi.focal_plane, random_tips(desi.focal_plane, rng) * u.mm).rate for _ in range(20)]
     error = np.hypot(np.std(rates, ddof=1) / np.sqrt(len(rates)), found.standard_error)
     assert abs(np.mean(rates) - found.value) < 4 * error
     segment = rs.collision_probability(desi.with_arm_model("elbow_to_tip"), method="quadrature", precision=1e-3, rng=0)

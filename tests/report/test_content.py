@@ -14,11 +14,11 @@ from matplotlib.figure import Figure
 import rfpsurvey as rs
 from pages import Reader, full
 from rfpsurvey._field.facts import tile_facts
+from rfpsurvey._survey.columns import survey_facts
 from rfpsurvey.report import _tables, _tile
 from rfpsurvey.report import _write as _survey
 from rfpsurvey.report._blocks import column_texts, estimate_facts, text_of
 from rfpsurvey.report._tile import _asked
-from rfpsurvey.survey import survey_facts
 
 
 @given(st.lists(st.floats(-1e300, 1e300), min_size=1, max_size=5))

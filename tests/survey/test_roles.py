@@ -11,6 +11,7 @@ from living import content, events, instrument, tiling
 import rfpsurvey as rs
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._survey import run as _run
+from rfpsurvey._survey.columns import survey_facts
 from rfpsurvey.plot._quality import plot_quality
 
 REQUIREMENTS = ["standard=3", "sky=1-2"]
@@ -99,7 +100,7 @@ def test_a_survey_states_how_many_science_targets_meet_requirements(joint, tmp_p
         survey.record(events(tile=survey.tiles["tile"].tolist(), date="2026-01-03", state="done"))
         rest = rs.plan_survey(catalog, instrument(), tiles, **where | {"folder": None}, visits=survey.state(catalog))
         assert rest.tiles["n_also_science"].tolist() == both
-    assert rs.survey.survey_facts(survey)["    that also meet requirements"] == sum(both)
+    assert survey_facts(survey)["    that also meet requirements"] == sum(both)
     rs.report.write_report(survey, tmp_path / "report.html")
     assert "that also meet requirements" in (tmp_path / "report.html").read_text()
 

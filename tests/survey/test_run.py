@@ -11,7 +11,7 @@ import signal
 import sys
 import tempfile
 import time
-from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
@@ -270,30 +270,6 @@ def test_names_that_fits_cannot_hold_are_refused_at_once(case, tmp_path):
             plan(other, tmp_path / "survey")
         assert not (tmp_path / "survey").exists()
         assert len(plan(other, None).tiles) == 50
-
-
-def test_a_worker_that_dies_is_told(case, tmp_path, undisturbed):
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(1, mp_context=context) as executor:
-
-        def kill(done, _):
-            for pid in list(executor._processes):
-                os.kill(pid, signal.SIGKILL)
-
-        with pytest.raises(BrokenExecutor, match="a worker process died; the files of finished tiles remain"):
-            plan(case, tmp_path / "survey", executor=executor, progress=kill)
-    plan(case, tmp_path / "survey", resume=True)
-    assert content(tmp_path / "survey") == undisturbed
-
-
-def test_an_error_names_its_tile(case, monkeypatch):
-    def fail(job):
-        raise ZeroDivisionError
-
-    monkeypatch.setattr("rfpsurvey._survey.run.work", fail)
-    with pytest.raises(ZeroDivisionError) as error:
-        plan(case, None)
-    assert error.value.__notes__[0].startswith("while tile ")
 
 
 def test_a_finished_survey_is_read_without_the_targets_of_its_tiles(case, folder, undisturbed, monkeypatch):

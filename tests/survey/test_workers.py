@@ -1,7 +1,9 @@
 """Tasks of several tiles, and files of tiles that workers write."""
 
 import multiprocessing
-from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+import os
+import signal
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor, ThreadPoolExecutor
 
 import astropy.units as u
 import numpy as np
@@ -53,3 +55,28 @@ def test_damaged_files_are_replaced_by_the_first_process(case, tmp_path, monkeyp
     with ThreadPoolExecutor(2) as executor, pytest.warns(rs.RfpsurveyWarning, match="planned again"):
         flat.plan_survey(*case, folder=tmp_path / "survey", executor=executor, resume=True)
     assert (content(tmp_path / "survey"), recorded) == (before, [lost])
+
+
+def test_a_worker_that_dies_is_told(case, tmp_path):
+    flat.plan_survey(*case, folder=tmp_path / "alone")
+    context = multiprocessing.get_context("spawn")
+    with ProcessPoolExecutor(1, mp_context=context) as executor:
+
+        def kill(done, _):
+            for pid in list(executor._processes):
+                os.kill(pid, signal.SIGKILL)
+
+        with pytest.raises(BrokenExecutor, match="a worker process died; the files of finished tiles remain"):
+            flat.plan_survey(*case, folder=tmp_path / "survey", executor=executor, progress=kill)
+    flat.plan_survey(*case, folder=tmp_path / "survey", resume=True)
+    assert content(tmp_path / "survey") == content(tmp_path / "alone")
+
+
+def test_an_error_names_its_tile(case, monkeypatch):
+    def fail(job):
+        raise ZeroDivisionError
+
+    monkeypatch.setattr("rfpsurvey._survey.run.work", fail)
+    with pytest.raises(ZeroDivisionError) as error:
+        flat.plan_survey(*case)
+    assert error.value.__notes__[0].startswith("while tile ")

@@ -7,10 +7,11 @@ import pytest
 import rfpsurvey as rs
 from rfpsurvey._common import descriptions as _descriptions
 from rfpsurvey._field import facts as _facts
+from rfpsurvey._field import table as _table
 
 DESCRIBED = {
-    "tile": (_descriptions.TILE_COLUMNS, lambda tile: tile.table),
-    "outcomes": (_descriptions.OUTCOMES_COLUMNS, lambda tile: tile.outcomes),
+    "tile": (_table.TILE_COLUMNS, lambda tile: tile.table),
+    "outcomes": (_table.OUTCOMES_COLUMNS, lambda tile: tile.outcomes),
 }
 
 
@@ -32,7 +33,7 @@ def test_every_column_has_its_description_and_unit(name):
 def test_a_column_and_a_number_are_added_at_one_place(monkeypatch, tmp_path):
     length = _descriptions.Column("longest", "length of both arms", "mm", lambda t: np.full(len(t.plane), 22.4))
     number = _facts.Fact("n_near", "positioners near others", value=lambda t: 7)
-    monkeypatch.setitem(_descriptions.TILE_COLUMNS, "longest", length)
+    monkeypatch.setitem(_table.TILE_COLUMNS, "longest", length)
     monkeypatch.setattr(_facts, "TILE_FACTS", (*_facts.TILE_FACTS, number))
     tile = plan()
     assert tile.table["longest"][3] == 22.4 * u.mm

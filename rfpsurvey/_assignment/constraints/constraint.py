@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, ClassVar
 import numpy as np
 
 from rfpsurvey._assignment.constraints.field import FAIL, PASS, ConstraintField, Verdict
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey.errors import INCONVERTIBLE, InputError, listed, number_of
 
 if TYPE_CHECKING:

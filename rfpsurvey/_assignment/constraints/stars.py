@@ -11,7 +11,7 @@ import numpy as np
 
 from rfpsurvey._assignment.constraints.field import FAIL, PASS, ConstraintField, Verdict
 from rfpsurvey._assignment.constraints.rule import StarRule, check_limits, limit_option
-from rfpsurvey._common.read_parquet import parse_number
+from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._common.settings import option
 from rfpsurvey._common.units import exact_text
 from rfpsurvey._sky.catalog import Catalog

@@ -215,7 +215,10 @@ class History:
             return None, {}
 
     def _is_of(self, row: int, plan: str, targets: set[str]) -> bool:
-        """Return whether a plan, without empty sky, has only the given targets."""
+        """Return whether all targets of a plan, without blank sky, are among the given targets.
+
+        The given targets may include blank sky, whose identifiers are not those of targets of the catalog.
+        """
         visits, _ = self._read(row, plan)
         return visits is not None and {*visits["target_id"][visits["target_row"] >= 0].astype(str).tolist()} <= targets
 
@@ -243,7 +246,8 @@ class History:
         """Return the checksum of the plan with which a tile was observed, and the number of files of its generation.
 
         The plan is that of the generation, or that with the digest, in ``named``. Otherwise, it is the last plan that
-        was made before the observation; if the table names the targets of all visits, it is a plan of these targets.
+        was made before the observation, unless the ``targets`` that the table names lack targets of this plan, but not
+        those of another plan. A table with further targets is refused later.
         """
         plans, generations = self.plans(row), self.generations
         is_planned = self._present(row) in dict(plans)

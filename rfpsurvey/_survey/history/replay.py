@@ -10,9 +10,10 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import TARGET_ID, VISITS_COLUMNS, Column, describe, table_of
+from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.read_documents import content_of, read_arrays
 from rfpsurvey._common.units import MOST_VISITS
+from rfpsurvey._field.table import TARGET_ID
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.columns import CARDS, N_LOST
@@ -20,7 +21,7 @@ from rfpsurvey._survey.generations import EVENTS
 from rfpsurvey._survey.history.events import Events, TileEvent, TileState
 from rfpsurvey._survey.history.rule import LAST
 from rfpsurvey._survey.source import column_of, is_science
-from rfpsurvey._survey.work import LOST_IN_COLLISION
+from rfpsurvey._survey.work import LOST_IN_COLLISION, VISITS_COLUMNS
 from rfpsurvey.errors import InputError
 
 STATE = table_of(

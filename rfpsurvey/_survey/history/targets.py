@@ -8,13 +8,13 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 
-from rfpsurvey._common.descriptions import VISITS_COLUMNS
 from rfpsurvey._common.io import check_fits_text
 from rfpsurvey._common.units import to_flags, to_labels, to_plain, to_vectors, to_visits, values_at
 from rfpsurvey._field.targets import PLANNED_COLUMNS
 from rfpsurvey._sky.arrays import to_kinds
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.history.events import Events, to_date
+from rfpsurvey._survey.work import VISITS_COLUMNS
 from rfpsurvey.errors import InputError, brief, listed, number_of, warn
 
 ROW, ID, DROPPED = "target_row", "target_id", "dropped"

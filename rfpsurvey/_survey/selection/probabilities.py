@@ -9,10 +9,11 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import TARGET_ID, Column, Fact, describe, facts_of, table_of, to_html
+from rfpsurvey._common.descriptions import Column, Fact, describe, facts_of, table_of, to_html
 from rfpsurvey._common.folder import check_file, read_index
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_visits
+from rfpsurvey._field.table import TARGET_ID
 from rfpsurvey.errors import InputError, check_whole, number_of, short
 
 TARGETS = table_of(

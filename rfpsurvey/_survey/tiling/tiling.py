@@ -11,7 +11,8 @@ from astropy.table import QTable, Table
 
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
-from rfpsurvey._common.read_tables import lacks_units, read_table
+from rfpsurvey._common.files import lacks_units
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky.arrays import SkyIndex

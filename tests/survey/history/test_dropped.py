@@ -78,3 +78,12 @@ def test_another_tile_takes_the_position_of_a_dropped_tile(case, survey, fractio
     assert replan(case, again).tiles["state"].tolist()[1::5] == ["dropped", "done"]
     read = rs.Tiling.read(again.folder / "tiles.fits")
     assert len(read) == 7
+
+
+def test_a_tile_without_the_date_on_which_it_was_dropped_remains_dropped_after_late_reports(case, survey):
+    """It was dropped on the last date of all observations that were recorded before."""
+    survey.record(events(tile=11, date="2026-01-05"))
+    survey.record(events(tile=12, state="dropped"))
+    for date, n in (("2026-01-04", 1), ("2026-01-05", 1), ("2026-01-06", 0)):
+        survey.record(events(tile=12, date=date, fraction=0.5))
+        assert survey.state(case[0]).summary["n_tiles_dropped"] == n

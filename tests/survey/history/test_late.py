@@ -121,3 +121,17 @@ def test_the_plan_of_a_tile_that_is_dropped_in_the_present_plan_is_named(replann
     refuse(again, events(**late), "must be one of .* got 2026-01-09; give its digest")
     again.record(events(**late, target=["", *map(str, names)], good=True))
     assert credited(again, 12) == names
+
+
+def test_a_table_with_all_targets_of_an_earlier_plan_is_credited_to_this_plan(case, survey, monkeypatch):
+    """A table with all targets of both plans is credited to the plan of its date, and its other targets are errors."""
+    before = targets_of(survey)[12]
+    survey.record(events(tile=11, date="2026-01-02"))
+    survey.record(events(target=before[:2], state="dropped"))
+    monkeypatch.setenv("SOURCE_DATE_EPOCH", DAYS[5])
+    again = living.replan(case, survey)
+    now, row = again.tile(12)["target_id"].tolist(), {"tile": 12, "date": "2026-01-09", "good": True}
+    assert not {*before} <= {*now}
+    refuse(again, events(**row, target=["", *map(str, {*before, *now})]), "must be a target of tile 12 with")
+    again.record(events(**row, target=["", *map(str, before)]))
+    assert credited(again, 12) == before

@@ -1,4 +1,4 @@
-"""Check the paths of outputs before they are computed, and text that files cannot contain."""
+"""Paths of files: formats of files by their endings, and checks of outputs before they are computed."""
 
 import os
 from collections.abc import Iterable
@@ -8,10 +8,64 @@ import numpy as np
 from astropy.table import Table
 
 from rfpsurvey._common.read_documents import is_present
-from rfpsurvey._common.read_tables import ZIPPED, has_ending, to_path
-from rfpsurvey.errors import InputError, check_switch
+from rfpsurvey.errors import InputError, check_switch, refusal
 
+FORMATS = {
+    ".fits": "fits",
+    ".fit": "fits",
+    ".ecsv": "ascii.ecsv",
+    ".csv": "ascii.csv",
+    ".tsv": "ascii.csv",
+    ".vot": "votable",
+    ".xml": "votable",
+    ".votable": "votable",
+    ".parquet": "parquet",
+}
+"""Formats of tables by the ending of their file."""
 WRITABLE = (".fits", ".ecsv")
+"""Endings of the files of tables that can be written."""
+ZIPPED = (".gz", ".bz2", ".xz")
+"""Endings of compressed files, which follow the ending that determines the format."""
+
+
+def to_path(path: object) -> Path:
+    """Convert text or a path object to a `pathlib.Path`; refuse empty text, which would name the current folder."""
+    if isinstance(path, str) and not path.strip():
+        raise InputError(f"a path must not be empty, got {path!r}")
+    try:
+        return Path(path)
+    except TypeError:
+        raise refusal("a path must be text or a Path object", path, str) from None
+
+
+def suffix_of(path: Path) -> str:
+    """Return the file extension that determines the format; a final ``.gz``, ``.bz2`` or ``.xz`` is ignored."""
+    suffixes = [s.lower() for s in path.suffixes]
+    if suffixes and suffixes[-1] in ZIPPED:
+        suffixes.pop()
+    return suffixes[-1] if suffixes else ""
+
+
+def has_ending(path: Path, endings: Iterable[str]) -> bool:
+    """Return whether a file name has one of some endings, such as ``.csv``; a final ``.gz`` or the like is ignored."""
+    name = path.name.lower()
+    name = name.removesuffix(path.suffix.lower()) if path.suffix.lower() in ZIPPED else name
+    return any(name.endswith(ending) and name != ending for ending in endings)
+
+
+def is_fits(path: Path) -> bool:
+    """Return whether a file is in FITS format, which can contain several tables, but only ASCII text."""
+    return FORMATS.get(suffix_of(path)) == "fits"
+
+
+def is_csv(path: Path) -> bool:
+    """Return whether a file is in CSV format, which cannot contain units."""
+    return FORMATS.get(suffix_of(path)) == "ascii.csv"
+
+
+def lacks_units(path: Path) -> bool:
+    """Return whether a file has a format whose columns usually have no units: CSV or Parquet."""
+    return is_csv(path) or FORMATS.get(suffix_of(path)) == "parquet"
 
 
 def check_output(
