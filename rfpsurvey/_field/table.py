@@ -359,3 +359,8 @@ def _same(a, b) -> bool:
         return bool(np.array_equal(a.filled(), b.filled()))
     a, b = np.asarray(getattr(a, "value", a)), np.asarray(getattr(b, "value", b))
     return bool(np.array_equal(a, b, equal_nan=a.dtype.kind == "f"))
+
+
+def collision_shape(summary: dict) -> str:
+    """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
+    return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""

@@ -20,6 +20,7 @@ from rfpsurvey._field.table import (
     TILE_COLUMNS,
     TableOfTile,
     TargetsOfField,
+    collision_shape,
     id_column,
     same_table,
     without_masks,
@@ -397,8 +398,3 @@ class Tile:
         """Return as text the number of positioners for each kind of target, unless all targets are science targets."""
         counts = {kind: row["n_assigned"] for kind, row in self.summary.get("kinds", {}).items() if row["n_assigned"]}
         return f" ({', '.join(f'{n} {kind}' for kind, n in counts.items())})" if set(counts) - {"science"} else ""
-
-
-def collision_shape(summary: dict) -> str:
-    """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
-    return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""

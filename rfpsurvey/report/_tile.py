@@ -12,7 +12,8 @@ from rfpsurvey._assignment.constraints.field import FAIL, NOT_CHECKABLE, PASS
 from rfpsurvey._assignment.constraints.text import recorded_constraints
 from rfpsurvey._assignment.methods import METHODS
 from rfpsurvey._field.facts import rules_of_tile, tile_facts, tile_objectives, tile_problems
-from rfpsurvey._field.tile import Tile, collision_shape
+from rfpsurvey._field.table import collision_shape
+from rfpsurvey._field.tile import Tile
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, model_facts
