@@ -3,7 +3,7 @@
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._common.units import to_generator, to_scalar
+from rfpsurvey._common.units import to_scalar, to_seed
 from rfpsurvey._instruments.arms import Arms, check_arms, check_plane, place_arms
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.joint_motion import JointMotion
@@ -113,7 +113,7 @@ def find_paths(
     check_plane(focal_plane)
     h = to_scalar(step, u.rad, "step", low=0)
     gap = to_scalar(margin, u.mm, "margin", low=0, closed=True)
-    generator = to_generator(rng)
+    seed = to_seed(rng)
     if hasattr(arms, "place_arms"):
         arms = arms.place_arms(focal_plane)
     posed = arms if isinstance(arms, Arms) else place_arms(focal_plane, arms)
@@ -123,7 +123,7 @@ def find_paths(
     if not isinstance(motion, JointMotion):
         raise InputTypeError(f"motion must be a JointMotion, got {type(motion).__name__}")
     prepared = arms_of(columns, posed, motion, gap)
-    planner = _Planner(columns, prepared, h, generator)
+    planner = _Planner(columns, prepared, h, np.random.default_rng(seed))
     planner.fold_all()
     planner.search_groups(check_switch(examine, "examine"))
     planner.turn_home()
@@ -140,7 +140,7 @@ def find_paths(
     speeds = [v for v in (motion.theta_speed, motion.phi_speed) if v is not None]
     rate = min((v.to_value(u.rad / u.s) for v in speeds), default=ASSUMED_SPEED)
     meta = {
-        "seed": int(rng) if isinstance(rng, int | np.integer) else None,
+        "seed": seed,
         "step_deg": float(np.rad2deg(h)),
         "speed_deg_s": float(np.rad2deg(rate)),
         "speed_is_assumed": not speeds,

@@ -17,6 +17,9 @@ from rfpsurvey._kernels.joint_motion import come_near, comes_near_obstacle, spee
 from rfpsurvey._kernels.motion import TOLERANCE
 from rfpsurvey._kernels.outlines import outlines_squared
 
+# Number of steps for which gaps are known in advance.
+LOOK_AHEAD = 20.0
+
 
 @kernel
 def locate(bodies, theta, psi, k, segments, column):
@@ -130,6 +133,7 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
         locate(bodies, theta[i], psi[i], i, segments, i)
         widest = max(widest, around.start[i + 1] - around.start[i])
     gaps = np.empty(widest)
+    known, known_at = np.full(around.near.size, -np.inf), np.zeros(around.near.size, np.int64)
     size = 4 * n + 1024
     owner, when = np.empty(size, np.int64), np.empty(size)
     where = np.empty((2, size))
@@ -161,10 +165,14 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                 toward = min(max(off, -step), step)
                 for k in range(around.start[i], around.start[i + 1]):
                     j = around.near[k]
-                    # no arm moves farther than this in a step
-                    arms = bodies.l1[i] + bodies.l1[j] + 2.0 * (bodies.reach[i] + bodies.reach[j])
-                    ahead = around.separation[k] + step * arms + TOLERANCE
-                    gaps[k - around.start[i]] = distance_at_rest(segments, limits, i, i, j, j, ahead)
+                    # no gap shrinks by more than this in a step; a gap is computed again when it could be too small
+                    most = step * (bodies.l1[i] + bodies.l1[j] + 2.0 * (bodies.reach[i] + bodies.reach[j]))
+                    gap = known[k] - (t - known_at[k]) * most
+                    if not gap > around.separation[k] + most + TOLERANCE:
+                        ahead = around.separation[k] + LOOK_AHEAD * most
+                        gap = known[k] = min(distance_at_rest(segments, limits, i, i, j, j, ahead), ahead)
+                        known_at[k] = t
+                    gaps[k - around.start[i]] = gap
                 choose = pressed[i] > 0
                 if not choose:
                     blocker = blocked_by(bodies, limits, around, state, i, 0.0, toward, gaps)
