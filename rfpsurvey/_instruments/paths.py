@@ -139,6 +139,15 @@ class Paths:
             raise InputError(
                 "the times of each positioner must increase from 0 s to the same last time, with at least two times"
             )
+        finite, absent = np.isfinite(angles).all(axis=0), np.isnan(angles).all(axis=0)
+        finite, absent = (np.bincount(owner, kind, minlength=n) for kind in (finite, absent))
+        bad = np.maximum(finite, absent) < np.diff(self.start)
+        if bad.any():
+            raise InputError(
+                f"the joint angles of a path must be finite, or all NaN if the arm is absent, but those of "
+                f"{number_of(int(bad.sum()), 'positioner')} are not; the first is the positioner "
+                f"{self.focal_plane.id[int(np.argmax(bad))]}"
+            )
         _, offset = bodies_of(columns, np.arange(n), self.fiber)
         return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + offset[owner])
 
