@@ -105,6 +105,13 @@ class Paths:
                 f"the arms of a path must not touch obstacles, but {number_of(len(hits), 'pair')} of an arm and an "
                 f"obstacle come closer than the clearance; the first is that of the positioner {ids[hits[0, 0]]}"
             )
+        moved = self._moved_broken()
+        if moved.any():
+            raise InputError(
+                f"the arms of broken positioners must remain in their poses, but {number_of(int(moved.sum()), 'path')} "
+                f"of broken positioners differ from them; the first is that of the positioner "
+                f"{ids[int(np.argmax(moved))]}"
+            )
         beyond = self._beyond_limits()
         if beyond.any():
             n = number_of(int(beyond.sum()), "arm")
@@ -150,6 +157,17 @@ class Paths:
             )
         _, offset = bodies_of(columns, np.arange(n), self.fiber)
         return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + offset[owner])
+
+    def _moved_broken(self):
+        """Return which positioners that cannot move have a path that moves, or that is not in the fixed pose."""
+        columns, owner = self._columns, self._owner
+        moved, first = np.zeros(len(self.fiber), dtype=bool), self.start[:-1][owner]
+        for k, name in enumerate(("theta", "phi")):
+            joint, fixed = getattr(self, name).to_value(u.rad), columns.stuck[owner, k]
+            away = np.where(columns.is_stuck[owner], np.abs(np.sin(0.5 * (joint - fixed))), 0.0)
+            moves = (np.abs(joint - joint[first]) > 1e-9) | (away > 1e-6)  # false for arms that are absent
+            moved[owner[moves & ~columns.usable[owner]]] = True
+        return moved
 
     def _beyond_limits(self):
         """Return which arms exceed the joint limits of the focal plane."""
