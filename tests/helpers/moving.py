@@ -58,10 +58,18 @@ def least_distance(one, two, *, same_speed=False, n=10_000, rounds=0, gap=None):
     t = np.linspace(0, 1, n)
     if same_speed and longest:  # the rate of an arm changes when it reaches its target
         t = np.sort(np.append(t, np.clip([1 - abs(arm[3]) / longest for arm in (one, two)], 0, 1)))
-    found = at(t)
-    best = found.min()
     speed = (abs(one[3]) * one[5] + abs(two[3]) * two[5]) * (2 if same_speed else 1)
-    width = np.diff(t).max()
+    return refined(at, t, speed, rounds)
+
+
+def refined(at, t, speed, rounds):
+    """Return the smallest value of a function at the times t from 0 to 1, refined ``rounds`` times around its minima.
+
+    Finally, the surroundings of the smallest value are sampled more and more densely. The function ``at`` of an array
+    of times changes by at most ``speed`` per time.
+    """
+    n, found = len(t), at(t)
+    best, width = found.min(), np.diff(t).max()
     for _ in range(rounds):
         low = np.flatnonzero(found <= best + speed * width)
         if len(low) > n:
@@ -71,7 +79,50 @@ def least_distance(one, two, *, same_speed=False, n=10_000, rounds=0, gap=None):
         width *= 2 / (m - 1)
         found = at(t)
         best = min(best, found.min())
+    middle = t[found.argmin()]
+    for _ in range(6 if rounds else 0):  # the distance is smooth near most minima
+        t = np.unique((middle + np.linspace(-width, width, 41)).clip(0, 1))
+        found = at(t)
+        middle, width = t[found.argmin()], 0.1 * width
+        best = min(best, found.min())
     return best
+
+
+class TwoJoints(NamedTuple):
+    """An arm whose central and eccentric arms turn at constant rates from the time 0 to the time 1, in radians."""
+
+    x: float
+    y: float
+    l1: float
+    theta: float
+    theta_rate: float
+    psi: float  # direction of the eccentric arm
+    psi_rate: float
+    inner: float
+    length: float
+
+    @property
+    def speed(self):
+        """Return the largest speed of a point of the segment."""
+        return self.l1 * abs(self.theta_rate) + self.length * abs(self.psi_rate)
+
+    def elbow(self, t):
+        """Return the positions of the elbow."""
+        theta = self.theta + t * self.theta_rate
+        return self.x + self.l1 * np.cos(theta), self.y + self.l1 * np.sin(theta)
+
+    def segment(self, t):
+        """Return the segments at the times t, shape (..., 2, 2)."""
+        return ends(*self.elbow(t), self.psi + t * self.psi_rate, self.inner, self.length)
+
+
+def two_joint_distance(one, two, *, n=10_000, rounds=0):
+    """Return the least distance of two `TwoJoints` at n times, refined ``rounds`` times."""
+
+    def at(t):
+        return segment_distance(one.segment(t), two.segment(t))
+
+    return refined(at, np.linspace(0, 1, n), one.speed + two.speed, rounds)
 
 
 class MovingArm(NamedTuple):
