@@ -148,11 +148,11 @@ class Paths:
             )
         finite, absent = np.isfinite(angles).all(axis=0), np.isnan(angles).all(axis=0)
         finite, absent = (np.bincount(owner, kind, minlength=n) for kind in (finite, absent))
-        bad = np.maximum(finite, absent) < np.diff(self.start)
+        bad = np.where(self.arrives | self.assigned, finite, np.maximum(finite, absent)) < np.diff(self.start)
         if bad.any():
             raise InputError(
-                f"the joint angles of a path must be finite, or all NaN if the arm is absent, but those of "
-                f"{number_of(int(bad.sum()), 'positioner')} are not; the first is the positioner "
+                "the joint angles of a path must be finite, or all NaN for an absent arm without a target, but those "
+                f"of {number_of(int(bad.sum()), 'positioner')} are not; the first is the positioner "
                 f"{self.focal_plane.id[int(np.argmax(bad))]}"
             )
         _, offset = bodies_of(columns, np.arange(n), self.fiber)
@@ -329,10 +329,6 @@ class Paths:
         start = np.searchsorted(owner[order], np.arange(len(plane) + 1))
         first = order[start[:-1]]
         arrives, assigned = (to_flags(table[key], key)[first] for key in COLUMNS[5:])
-        lost = owner[np.isnan(theta) | np.isnan(phi)]
-        lost = lost[(arrives | assigned)[lost]]
-        if len(lost):
-            raise InputError(f"the angles of arms with a target must be numbers, got NaN for {plane.id[lost[0]]}")
         fiber = plane.arrays.first_index
         if "fiber_type" in table.colnames:
             fiber = plane.arrays.index_of(to_plain(table["fiber_type"], "fiber_type").astype(str)[first])
