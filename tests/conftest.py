@@ -12,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 import rfpsurvey as rs
+from compile_once import compile_once
 from packages import HERS
 from rfpsurvey import _cli
 from rfpsurvey._cli import process as _process
@@ -66,6 +67,12 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_kernel_is_compiled_once(tmp_path_factory):
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        compile_once(tmp_path_factory.getbasetemp().parent)
 
 
 @pytest.fixture
