@@ -139,6 +139,7 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
     assert (reached.n_tiles() <= alone).all()
 
 
+@pytest.mark.few(3)
 @pytest.mark.filterwarnings("ignore:rng has no effect")
 @pytest.mark.parametrize("allocator", ["nearest", "balanced", "lamost_rule", "repair"])
 def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
