@@ -12,6 +12,7 @@ import pytest
 from hypothesis import settings
 
 import rfpsurvey as rs
+from compile_once import compile_once
 from packages import HERS
 from rfpsurvey import _cli
 from rfpsurvey._cli import process as _process
@@ -27,6 +28,8 @@ os.environ.setdefault("SOURCE_DATE_EPOCH", "1767225600")
 # the first call of a kernel compiles it; examples are the same in every run, so that a failure can be reproduced
 settings.register_profile("rfpsurvey", deadline=None, derandomize=True, database=None)
 settings.load_profile("rfpsurvey")
+# folders with tests of kernels: their tests find an index out of bounds first
+KERNELS = {"allocation", "collision", "probability"}
 
 
 def _parameters_of(test):
@@ -39,7 +42,8 @@ def pytest_collection_modifyitems(items):
     """Mark all but ``n`` tests of a function with the marker ``few(n)`` as exhaustive.
 
     The ``n`` tests have as many different values of each parameter as possible. If the environment variable
-    ``RFPSURVEY_PART`` is ``k/n``, only the k-th of n parts of the exhaustive tests is kept.
+    ``RFPSURVEY_PART`` is ``k/n``, only the k-th of n parts of the tests is kept; in addition, all tests in the folders
+    `KERNELS` that are not exhaustive are kept.
     """
     functions = {}
     for item in items:
@@ -58,7 +62,8 @@ def pytest_collection_modifyitems(items):
 
     def is_kept(item):
         function = f"{item.path.name} {item.name.partition('[')[0]}".encode()
-        return item.get_closest_marker("exhaustive") is None or (zlib.crc32(function) - int(part)) % int(n_parts) == 0
+        of_kernels = item.path.parent.name in KERNELS and item.get_closest_marker("exhaustive") is None
+        return of_kernels or (zlib.crc32(function) - int(part)) % int(n_parts) == 0
 
     items[:] = filter(is_kept, items)
 
@@ -66,6 +71,12 @@ def pytest_collection_modifyitems(items):
 def pytest_collection_finish():
     gc.freeze()
     gc.enable()
+
+
+@pytest.fixture(scope="session", autouse=True)
+def _each_kernel_is_compiled_once(tmp_path_factory):
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        compile_once(tmp_path_factory.getbasetemp().parent)
 
 
 @pytest.fixture

@@ -199,7 +199,8 @@ def test_scripts_of_the_gallery_have_thumbnails_of_their_own():
     assert max(map(len, files)) < 60_000
 
 
-@pytest.mark.parametrize("name", ["speed_accuracy", "failures", "needed_models"])
+@pytest.mark.few(1)
+@pytest.mark.parametrize("name", ["needed_models", "speed_accuracy", "failures"])
 def test_plots_of_trade_offs_can_be_drawn_for_an_own_instrument(name, tmp_path, monkeypatch):
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
     (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))

@@ -5,11 +5,13 @@ import signal
 import subprocess
 import sys
 import time
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext, suppress
+from operator import attrgetter
 from threading import Event
 from typing import NamedTuple
 
+import numpy as np
 import pytest
 
 import rfpsurvey
@@ -109,6 +111,16 @@ def test_an_interrupt_does_not_wait_for_calls_that_still_run():
     with released(ThreadPoolExecutor(1)) as executor:
         done = executor.submit(sum, [1, 2])
     assert done.result(0) == 3
+
+
+def test_read_only_arrays_are_read_only_in_processes():
+    """Regression: numba compiled kernels again in each process, because all arrays there could be written."""
+    locked = np.arange(3.0)
+    locked.flags.writeable = False
+    with ProcessPoolExecutor(1) as pool:
+        found = list(map_in_order(pool, attrgetter("flags.writeable"), [np.arange(3.0), locked]))
+        one = submit(pool, attrgetter("flags.writeable"), locked).result()
+    assert (found, one) == ([True, False], False)
 
 
 class Named(NamedTuple):

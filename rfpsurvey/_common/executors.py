@@ -4,6 +4,7 @@ Worker processes end when their parent process ends. The progress is one line of
 """
 
 import os
+import pickle
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import BrokenExecutor, Executor, Future
@@ -112,7 +113,9 @@ def map_in_order(executor: Executor | None, function: Callable, *arguments: Iter
         raise InputTypeError(f"executor must be a concurrent.futures.Executor, got {short(executor)}")
     if executor is None:
         return map(function, *arguments)
-    return executor.map(_for_workers(executor, function), *arguments)
+    if _is_process_pool(executor):
+        return executor.map(partial(_in_worker, _packed(function)), *(map(_packed, each) for each in arguments))
+    return executor.map(function, *arguments)
 
 
 def map_with_progress(
@@ -129,7 +132,9 @@ def map_with_progress(
 
 def submit(executor: Executor, function: Callable, *arguments: object) -> Future:
     """Submit a function call to an executor, and return the future of its result."""
-    return executor.submit(_for_workers(executor, function), *arguments)
+    if _is_process_pool(executor):
+        return executor.submit(_in_worker, _packed(function), *map(_packed, arguments))
+    return executor.submit(function, *arguments)
 
 
 def in_order(
@@ -232,14 +237,23 @@ def _end_after(parent) -> None:
     os._exit(1)  # without waiting for other threads of this process
 
 
-def _in_worker(function, *arguments):
+def _packed(value: object) -> bytes:
+    """Return a value as bytes, in which read-only arrays remain read-only.
+
+    Numba would otherwise compile in each worker process the kernels that this process has already compiled, because
+    read-only arrays have another type than other arrays. Process pools use an older protocol of pickle, by which all
+    arrays can be written.
+    """
+    return pickle.dumps(value, 5)
+
+
+def _in_worker(function: bytes, *arguments: bytes):
     """Call a function in a worker process; the first call makes the process end when the parent process ends."""
     end_with_parent()
-    return function(*arguments)
+    return pickle.loads(function)(*map(pickle.loads, arguments))
 
 
-def _for_workers(executor, function):
-    """Return the function to submit to an executor; for a process pool, `_in_worker` calls it."""
+def _is_process_pool(executor: Executor) -> bool:
     from concurrent.futures import ProcessPoolExecutor
 
-    return partial(_in_worker, function) if isinstance(executor, ProcessPoolExecutor) else function
+    return isinstance(executor, ProcessPoolExecutor)

@@ -61,7 +61,7 @@ def test_plans_get_no_worse_with_more_programs(name, with_requirements):
         ]
 
     before = values("repair")
-    for programs in (0, 1, 2, 3, 4, 6, 8, 12, 20, 40):
+    for programs in (0, 1, 2, 3, 5, 8, 20):
         now = values("optimal", programs=programs)
         assert now >= before, (programs, now, before)
         before = now

@@ -12,13 +12,13 @@ from integer_program import LexicographicProgram, counts, groups_of
 from scenes import KINDS, SEVERAL, random_scene
 
 MM = u.mm
-CHUNK = 20
-in_chunks = pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 5))])
+SEEDS = [range(10), *(pytest.param(range(k, k + 20), marks=pytest.mark.exhaustive) for k in range(0, 100, 20))]
+in_chunks = pytest.mark.parametrize("seeds", SEEDS)
 
 
-def scenes_of(chunk, kinds=KINDS):
-    """Yield the scenes of a chunk, and the integer program of each scene, without subpriorities."""
-    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+def scenes_of(seeds, kinds=KINDS):
+    """Yield the scenes of some seeds, and the integer program of each scene, without subpriorities."""
+    for seed in seeds:
         plane, xy, options, rng = random_scene(seed, kinds)
         yield seed, plane, xy, options, rng, program_of(plane, xy, options, np.zeros(len(xy)))
 
@@ -29,12 +29,12 @@ def program_of(plane, xy, options, subpriority):
 
 
 @in_chunks
-def test_no_objective_is_worse_than_in_the_best_plan(chunk):
+def test_no_objective_is_worse_than_in_the_best_plan(seeds):
     """A step that separated idle arms once kept the numbers of targets, but lost the sum of their subpriorities.
 
     The sum of the subpriorities takes precedence over the collisions of idle arms.
     """
-    for seed, plane, xy, options, rng, _ in scenes_of(chunk):
+    for seed, plane, xy, options, rng, _ in scenes_of(seeds):
         subpriority = rng.random(len(xy))
         oracle = program_of(plane, xy, options, subpriority)
         found, best = flat.allocate(plane, xy * MM, "optimal", **options), oracle.best()
@@ -85,14 +85,14 @@ def check_counts(plane, options, found, seed, allocator):
 
 @in_chunks
 @pytest.mark.parametrize("divided", [False, True])
-def test_targets_count_toward_the_requirements_on_all_of_their_roles(chunk, divided):
+def test_targets_count_toward_the_requirements_on_all_of_their_roles(seeds, divided):
     """A target had one kind: required standards were missing although science targets that are standards had fibers.
 
     The bound of each objective holds for all plans with the same values of the earlier objectives. The requirements of
     divided scenes are per spectrograph and on fiber types.
     """
     n_both = n_short = n_lower = 0
-    for seed in range(CHUNK * chunk, CHUNK * (chunk + 1)):
+    for seed in seeds:
         plane, xy, options = divided_scene(seed) if divided else random_scene(seed, SEVERAL)[:3]
         oracle = program_of(plane, xy, options, np.zeros(len(xy)))
         found, best = flat.allocate(plane, xy * MM, "optimal", **options), oracle.best()
@@ -124,10 +124,10 @@ def test_targets_count_toward_the_requirements_on_all_of_their_roles(chunk, divi
 
 
 @in_chunks
-def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(chunk):
+def test_a_plan_with_late_targets_changes_as_few_fibers_as_possible(seeds):
     """Regression: with few fibers, a plan changed an idle fiber although it could change only a used fiber."""
     n_changed = 0
-    for seed, plane, xy, options, rng, oracle in scenes_of(chunk):
+    for seed, plane, xy, options, rng, oracle in scenes_of(seeds):
         late = np.flatnonzero(rng.random(len(xy)) < 0.2)
         forbidden = [(i, t) for i in range(len(plane)) for t in late.tolist()]
         before = flat.allocate(plane, xy * MM, "optimal", forbidden=forbidden, **options)

@@ -27,6 +27,7 @@ def sum_of_science(plan, kind, subpriority):
     return subpriority[used][is_science].sum()
 
 
+@pytest.mark.few(2)
 @pytest.mark.parametrize("chunk", range(4))
 def test_no_plan_with_the_same_numbers_of_targets_exceeds_the_bound(chunk):
     """An integer program gives the largest sum, also if the time limit ends the search at once."""

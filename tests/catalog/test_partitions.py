@@ -42,7 +42,7 @@ def sky():
 @pytest.fixture(scope="module")
 def folder(sky, tmp_path_factory):
     folder = tmp_path_factory.mktemp("partitions") / "sky"
-    rs.catalog.partition_catalog(sky, folder, order=4)
+    rs.catalog.partition_catalog(sky, folder, order=3)
     return folder
 
 
@@ -84,7 +84,7 @@ def test_only_the_partitions_of_a_field_are_read(folder, small, monkeypatch):
     source = _source.Partitioned(rs.catalog.PartitionedCatalog(folder))
     field = source.field(TILES[0].cartesian.xyz.value, np.deg2rad(0.5), np.ones(len(source), dtype=np.uint8))
     assert len(field.row) > 0
-    assert len({path for path, _ in read}) < 10
+    assert len({path for path, _ in read}) < 5
     assert all("_healpix_29" not in columns for _, columns in read)
 
 
@@ -172,7 +172,7 @@ def test_resume_and_another_catalog(folder, sky, small, tmp_path):
     parts = rs.catalog.PartitionedCatalog(folder)
     rs.plan_survey(parts, small, TILES, folder=tmp_path / "survey")
     rs.plan_survey(rs.catalog.PartitionedCatalog(folder), small, TILES, folder=tmp_path / "survey", resume=True)
-    other = rs.catalog.partition_catalog(sky[:-1], tmp_path / "other", order=4)
+    other = rs.catalog.partition_catalog(sky[:-1], tmp_path / "other", order=3)
     upside_down = rs.catalog.PartitionedCatalog(folder, columns={"priority": "-priority"})
     for catalog in (other, upside_down):
         with pytest.raises(rs.InputError, match="another survey: catalog"):

@@ -100,7 +100,7 @@ def test_a_tile_records_the_plan_file(call, tmp_path, monkeypatch):
 
 def test_the_record_of_a_survey_with_a_report_and_plots_can_be_run_again(call, run, tmp_path, monkeypatch):
     """Regression: the record named the report and the plots of the first run, which exist."""
-    words = "survey --instrument moons --allocator joint --passes 2 --set joint.iterations=1 --workers 2 "
+    words = "survey --instrument sdss_apo --allocator joint --passes 2 --set joint.iterations=1 --workers 2 "
     monkeypatch.chdir(tmp_path)
     call(f"{words} --set output.quality=quality.png --folder first --report page.html --plot chart.png")
     record = Path("first/plan.toml")

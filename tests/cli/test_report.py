@@ -12,11 +12,11 @@ from pages import Reader
     [
         "plan --instrument sdss_apo --output t.ecsv",
         "survey --instrument sdss_apo --folder plan",
-        "compare-allocators --instrument moons --allocator lamost_rule --allocator repair",
         "design --ratio 1,1.5 --pitch 24,26",
         "probability sdss_apo --method closed_form",
         "tile --region sky --method spiral --instrument lamost --output t.ecsv",
         "compare sdss_apo moons --allocator lamost_rule --n-realizations 1",
+        "compare-allocators --instrument moons --allocator lamost_rule --allocator repair",
         "benchmark collisions --instrument sdss_apo --method exact --method endpoints --repeats 1",
     ],
 )

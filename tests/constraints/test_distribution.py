@@ -19,7 +19,7 @@ from rfpsurvey._assignment.distribution import drop_neighbors
 from rfpsurvey._assignment.local_search import repair_collisions, stand
 from rule_scenes import CENTER, MM, Scene
 
-CHUNK, N_SCENES = 25, 150
+CHUNK, N_SCENES = 15, 150
 pytestmark = [
     pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost"),
     pytest.mark.filterwarnings("ignore:no target of the highest priority"),

@@ -12,6 +12,9 @@ from rfpsurvey._survey.selection.alternate import Generation, generations_of
 from rfpsurvey.survey import SurveyState, VisitRule
 
 INSTRUMENT = "sdss_apo"
+one_or_two = pytest.mark.parametrize("n", [1, pytest.param(2, marks=pytest.mark.exhaustive)])
+"""Number of realizations."""
+
 TILES = SkyCoord([120.0, 120.7, 120.0, 120.7, 120.3] * u.deg, [30.0, 30.0, 30.6, 30.6, 30.3] * u.deg)
 
 
@@ -139,6 +142,7 @@ def test_observations_that_were_corrected_are_repeated_as_they_were_known(stars,
     assert (reached.n_tiles() <= alone).all()
 
 
+@pytest.mark.few(3)
 @pytest.mark.filterwarnings("ignore:rng has no effect")
 @pytest.mark.parametrize("allocator", ["nearest", "balanced", "lamost_rule", "repair"])
 def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
@@ -158,12 +162,13 @@ def test_each_realization_repeats_the_observations(stars, tmp_path, allocator):
         *((name, ["science", "science+standard", "sky"]) for name in ("lamost_rule", "repair")),
     ],
 )
-def test_visits_to_standards_are_not_counted(stars, tmp_path, allocator, kinds):
+@one_or_two
+def test_visits_to_standards_are_not_counted(stars, tmp_path, allocator, kinds, n):
     """Regression: the numbers of visits to science targets counted those to standards in tiles that were observed."""
     kind = np.random.default_rng(3).choice(kinds, len(stars), p=[0.6, 0.3, 0.1])
     targets = rs.Catalog(stars.coord, priority=stars.priority, visits=stars.visits, kind=kind)
     more = {"required": targets.id[::10]} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
-    compare(live, targets, tmp_path, allocator, {1: [()], 4: [()]}, **more)
+    compare(live, targets, tmp_path, allocator, {1: [()], 4: [()]}, n=n, **more)
 
 
 RULES = [VisitRule(after_success=3), VisitRule(retries=0), VisitRule(visits=2, after_success=4, retries=1)]
@@ -174,16 +179,17 @@ CASES = [(0, "nearest", live), (1, "repair", live), (1, "lamost_rule", live_and_
     "ignore:rng has no effect", "ignore:.*requirement", "ignore:required targets", "ignore:the first plan"
 )
 @pytest.mark.parametrize(("rule", "allocator", "life"), CASES)
-def test_rules_are_applied_to_the_visits_of_each_realization(stars, tmp_path, rule, allocator, life):
+@one_or_two
+def test_rules_are_applied_to_the_visits_of_each_realization(stars, tmp_path, rule, allocator, life, n):
     """Some targets have no requested visits, some of these are required, and some have several roles."""
-    rng, n = np.random.default_rng(3), len(stars)
-    kind = rng.choice(["science", "science+standard", "standard", "sky"], n, p=[0.6, 0.2, 0.1, 0.1])
-    targets = rs.Catalog(stars.coord, priority=stars.priority, visits=rng.integers(0, 3, n), kind=kind)
+    rng, m = np.random.default_rng(3), len(stars)
+    kind = rng.choice(["science", "science+standard", "standard", "sky"], m, p=[0.6, 0.2, 0.1, 0.1])
+    targets = rs.Catalog(stars.coord, priority=stars.priority, visits=rng.integers(0, 3, m), kind=kind)
     names = rs.plan_tile(stars, INSTRUMENT, center=TILES[0]).table["id"].tolist()
     more = {"required": targets.id[::7]}
     more |= {} if allocator == "nearest" else {"requirements": ["standard=5", "sky=5"]}
     failed = {row: [[], names[::2]] for row in (0, 1, 4)}
-    survey, state, _ = compare(life, targets, tmp_path, allocator, failed, RULES[rule], **more)
+    survey, state, _ = compare(life, targets, tmp_path, allocator, failed, RULES[rule], n=n, **more)
     assert (state.left != survey.state(targets).left).sum() > 10
 
 

@@ -61,9 +61,9 @@ def test_joint_plans(small):
     sky, tiles = sky_of(0.8, 400, kinds=True), tiles_of(0.5, 3)
 
     options = rs.JointOptions(iterations=2, allocator=rs.AllocationOptions("optimal", requirements=["standard=1"]))
-    found = rs.selection_probabilities(sky, small, tiles, 8, allocator=options)
-    check(found, sky, small, tiles, options, range(8))
-    plain = rs.selection_probabilities(sky, small, tiles, 8, allocator=options.allocator)
+    found = rs.selection_probabilities(sky, small, tiles, 4, allocator=options)
+    check(found, sky, small, tiles, options, range(4))
+    plain = rs.selection_probabilities(sky, small, tiles, 4, allocator=options.allocator)
     assert found.realizations["n_observed"].sum() > plain.realizations["n_observed"].sum()
 
 

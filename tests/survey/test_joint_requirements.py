@@ -36,6 +36,7 @@ def goals_of(survey, catalog):
     return catalog.subpriority[np.concatenate(rows)].sum(), number
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_subpriorities_and_early_passes_decide_between_plans_with_equal_visits(seed):
     instrument, tiles, catalog, options = goal_scene(seed)
@@ -59,6 +60,7 @@ def test_subpriorities_and_early_passes_decide_between_plans_with_equal_visits(s
     assert goals_of(only, catalog)[1] == least @ program.maximize(-least)
 
 
+@pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_required_targets_come_first(seed):
     instrument, tiles, catalog, options = random_survey(seed)
@@ -80,6 +82,7 @@ def test_required_targets_come_first(seed):
 
 
 @pytest.mark.filterwarnings("ignore:the rules on the distribution of fibers cost")
+@pytest.mark.few(6)
 @pytest.mark.parametrize("seed", range(12))
 def test_rules_on_the_distribution_remain_fulfilled(seed):
     instrument, tiles, catalog, options, _ = survey_with(seed, "kinds")
@@ -116,6 +119,7 @@ def blank():
 
 def test_added_sky_positions_are_kept_by_joint_plans(blank, tmp_path, monkeypatch):
     catalog, model, tiles, options = blank
+    catalog = catalog[::2]
     joint = rs.JointOptions(iterations=2, patch_size=300, allocator=options)
     survey = rs.plan_survey(catalog, model, tiles, allocator=joint, folder=tmp_path / "one")
     assert survey.tiles["n_unmet"].tolist() == [0, 0, 0]

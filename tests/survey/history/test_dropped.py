@@ -12,6 +12,7 @@ def state_of(case, survey, tile):
     return again.tiles["state"][again.tiles["tile"].tolist().index(tile)]
 
 
+@pytest.mark.few(4)
 @pytest.mark.parametrize("state", ["partly", "bad"])
 @pytest.mark.parametrize("date", ["", "2026-01-05"])
 @pytest.mark.parametrize("replanned", [False, True])
