@@ -292,7 +292,7 @@ class PathsKeys(ScoreKeys):
     """
 
     output: key_groups.FileKeys
-    step: u.Quantity[u.deg] = 1 * u.deg
+    step: u.Quantity[u.deg] = 4 * u.deg
     margin: u.Quantity[u.mm] = 0.05 * u.mm
     rng: int = 1
     examine: bool = False

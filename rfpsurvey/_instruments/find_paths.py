@@ -13,7 +13,7 @@ from rfpsurvey._kernels import joint_motion, path_search, path_steps
 from rfpsurvey._kernels.motion import TOLERANCE
 from rfpsurvey.errors import InputTypeError, check_keywords, check_switch
 
-STAGES = ((1.0, 2.0, 0.3, True), (1.0, 2.0, 0.3, False), (1.0, 4.0, 1.0, False), (2.0, 2.0, 0.3, False))
+STAGES = ((1.0, 2.0, 0.3, True), (0.5, 2.0, 0.3, True), (0.25, 2.0, 0.3, False), (0.25, 4.0, 1.0, False))
 """Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost, and
 whether the margin is kept."""
 PATIENCE = np.deg2rad(40.0)
@@ -44,7 +44,7 @@ def find_paths(
     arms: object,
     *,
     motion: JointMotion | None = None,
-    step: u.Quantity = 1 * u.deg,
+    step: u.Quantity = 4 * u.deg,
     margin: u.Quantity = 0.05 * u.mm,
     rng: int | np.random.Generator | None = 1,
     examine: bool = False,

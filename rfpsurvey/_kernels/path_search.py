@@ -81,7 +81,9 @@ def search(bodies, limits, around, theta, psi, members, reach, n_nodes, rng):
         return path
     point, new = np.empty(size), np.empty(size)
     tree, met = 0, False
-    while count.max() < n_nodes - 1 and not met:
+    for _ in range(2 * n_nodes):  # in dense planes, most random points extend no tree
+        if met or count.max() >= n_nodes - 1:
+            break
         for c in range(size):
             # some coordinates are at their limits, because narrow passages often are
             point[c] = low[c] + min(max(1.1 * rng.random() - 0.05, 0.0), 1.0) * (high[c] - low[c])
