@@ -115,6 +115,8 @@ def between(ax, ay, bx, by, cx, cy, dx, dy):
 @kernel
 def leaves(gap, rate, bend):
     """Return the time for which gap + rate t - bend t^2 / 2 certainly remains positive; the bend must be positive."""
+    if not gap > 0.0:  # along an uncertain direction, the gap of long arms can be negative
+        return 0.0
     root = math.sqrt(rate * rate + 2.0 * bend * gap)
     return (rate + root) / bend if rate > 0.0 else 2.0 * gap / (root - rate)
 
