@@ -24,6 +24,8 @@ BEYOND = 1.0
 """Distances that exceed the minimum separation by more than this (mm) are not distinguished."""
 WITHIN = 1e-3
 """Largest error (mm) of the smallest distance."""
+MOST = np.deg2rad(36_000.0)
+"""Largest angle (rad) of a joint; the time of the proof increases with the angles."""
 COLUMNS = ("motion", "positioner", "time", "theta", "phi", "arrives", "assigned")
 """Columns of a table of paths that must exist."""
 
@@ -146,13 +148,14 @@ class Paths:
             raise InputError(
                 "the times of each positioner must increase from 0 s to the same last time, with at least two times"
             )
-        finite, absent = np.isfinite(angles).all(axis=0), np.isnan(angles).all(axis=0)
+        finite, absent = (np.abs(angles) <= MOST).all(axis=0), np.isnan(angles).all(axis=0)
         finite, absent = (np.bincount(owner, kind, minlength=n) for kind in (finite, absent))
         bad = np.where(self.arrives | self.assigned, finite, np.maximum(finite, absent)) < np.diff(self.start)
         if bad.any():
             raise InputError(
-                "the joint angles of a path must be finite, or all NaN for an absent arm without a target, but those "
-                f"of {number_of(int(bad.sum()), 'positioner')} are not; the first is the positioner "
+                f"the joint angles of a path must be at most {np.rad2deg(MOST):.0f} deg, or all NaN for an absent arm "
+                f"without a target, but those of {number_of(int(bad.sum()), 'positioner')} are not; the first is the "
+                f"positioner "
                 f"{self.focal_plane.id[int(np.argmax(bad))]}"
             )
         _, offset = bodies_of(columns, np.arange(n), self.fiber)
