@@ -147,21 +147,37 @@ def test_segments_that_come_near_do_so_at_some_time_and_others_at_no_time(block)
     assert 0.3 * N_BLOCK < n_near < 0.8 * N_BLOCK
 
 
-def beside_a_body(rng):
-    """Return an arm whose central arm is faster than its eccentric arm, and an arm at rest that points at its body."""
+def body_that_stops(rng):
+    """Return an arm whose central arm is faster than its eccentric arm and stops before the tip of an arm at rest."""
     one, two = (random_arm(rng, 0.0, 0.0) for _ in (0, 1))
-    angle, far = (
-        one.theta + one.theta_rate * rng.random(),
-        rng.uniform(8.3, 9.5),
-    )  # distance from the center to the elbow
-    x, y = far * np.cos(angle) - 3, far * np.sin(angle)
-    two = two._replace(x=x, y=y, theta=0.0, theta_rate=0.0, psi=angle + np.pi, psi_rate=0.0)
-    return one._replace(psi=angle + np.pi * rng.choice([-1, 1]) / 2, psi_rate=0.0), two
+    rate = rng.uniform(0.5, 3) * rng.choice([-1, 1])
+    end = one.theta + rate
+    angle, far = end + np.sign(rate) * np.deg2rad(rng.uniform(55, 95)), rng.uniform(7, 8)
+    two = two._replace(x=far * np.cos(angle) - 3, y=far * np.sin(angle), theta=0.0, theta_rate=0.0)
+    two = two._replace(psi=angle + np.pi, psi_rate=0.0)
+    return one._replace(theta_rate=rate, psi=angle + np.pi, psi_rate=0.0), two
 
 
 def outlined(arm, t, own):
     """Return the arm at the times t in the form that `outline_distance` requires."""
     return MovingArm(*arm.elbow(t), arm.psi, arm.psi_rate, 0.0, arm.length, own)
+
+
+def test_long_arms_without_a_separation_are_found():
+    """The direction of a vector of 1e-6 mm between long arms is uncertain, so that gaps along it can be negative."""
+    rng, times, n_crossing = np.random.default_rng(15), np.linspace(0, 1, 500), 0
+    for _ in range(1000):
+        psi, theta, away = rng.uniform(-3, 3), rng.uniform(-3, 3), 10 ** rng.uniform(-5.95, -5)
+        one = TwoJoints(0.0, 0.0, 1000.0, rng.uniform(-3, 3), 0.0, psi, rng.uniform(-1e-3, 1e-3), 0.0, 1000.0)
+        along, (x, y) = rng.uniform(-500, 500), one.elbow(0.0)
+        x, y = x + along * np.cos(psi) - away * np.sin(psi), y + along * np.sin(psi) + away * np.cos(psi)
+        two = one._replace(x=x - 1000 * np.cos(theta), y=y - 1000 * np.sin(theta), theta=theta)
+        turn = rng.choice([0.0, 1e-9, -1e-9, np.pi])
+        two = two._replace(psi=psi + turn, psi_rate=rng.choice([-1, 1]) * 10.0 ** rng.uniform(-6, 0))
+        if segment_distance(one.segment(times), two.segment(times)).min() == 0:
+            n_crossing += 1
+            assert come_near(one, two, 0.0) < np.inf, (one, two)
+    assert n_crossing > 200
 
 
 @pytest.mark.parametrize("block", blocks(1, 20))
@@ -170,7 +186,7 @@ def test_outlines_that_come_near_do_so_at_some_time_and_others_at_no_time(block)
     shape, times = DESI_LIKE.outline, np.linspace(0, 1, 301 if block == 0 else 2001)
     reach, length = np.full(2, shape.reach[0]), shape.length.to_value(MM)
     for k in range(n_pairs):
-        one, two = (beside_a_body if k % 3 == 0 else KINDS[k % 8])(rng)
+        one, two = (body_that_stops if k % 3 == 0 else KINDS[k % 8])(rng)
         one, two = (arm._replace(l1=3.0, inner=0.0, length=length) for arm in (one, two))
         xy = np.array([[one.x, one.y], [two.x, two.y]])
         plane = SimpleNamespace(positioner=DESI_LIKE, xy=xy * MM)

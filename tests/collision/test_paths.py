@@ -12,6 +12,8 @@ from path_scenes import CLUSTERED, DEG, MM, SEGMENT, SMALL, Replay, targets
 from raising import refused
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.find_paths import _Planner
+from rfpsurvey._instruments.path_arms import arms_of
 from rfpsurvey.collision import Paths, find_paths
 from rfpsurvey.positioner import JointMotion
 from scenes import random_tips
@@ -84,11 +86,11 @@ def test_paths_of_sdss_keep_the_separation_the_joint_ranges_and_the_speeds(sdss,
     plan = rs.allocate(plane, targets(plane, name))
     paths = find_paths(plane, plan, motion=sdss.motion)
     check_paths(plane, plan, paths, sdss.motion, n=500)
-    assert paths.n_arriving >= plan.n_assigned - 1
-    assert np.sum(~paths.arrives) <= sum(len(ids) for ids, _ in paths.groups)
+    assert paths.n_arriving >= 495
+    assert paths.n_arriving + sum(len(ids) for ids, _ in paths.groups) >= 500
 
 
-@pytest.mark.few(12)
+@pytest.mark.few(13)
 @pytest.mark.parametrize("seed", range(4))
 @pytest.mark.parametrize("name", SMALL)
 def test_paths_of_small_planes(name, seed):
@@ -107,10 +109,7 @@ def test_the_same_seed_gives_the_same_paths(name):
     plane = SMALL[name]()
     plan = plan_of(plane, 1)
     found = [find_paths(plane, plan, rng=seed) for seed in (1, 1, np.random.default_rng(1), 2)]
-    seeds = [paths.meta["seed"] for paths in found]
-    assert [*seeds[:2], seeds[3]] == [1, 1, 2]
-    found.append(find_paths(plane, plan, rng=seeds[2]))
-    np.testing.assert_array_equal(found[2].theta, found[4].theta)
+    assert [paths.meta["seed"] for paths in found] == [1, 1, None, 2]
     for name in ("time", "theta", "phi"):
         for paths in found[1:3]:
             np.testing.assert_array_equal(getattr(paths, name), getattr(found[0], name))
@@ -144,17 +143,15 @@ def test_fiber_types_and_absent_arms_are_read(tmp_path):
     gone = slice(*paths.start[3:5])
     theta, phi = paths.theta.copy(), paths.phi.copy()
     theta[gone] = phi[gone] = np.nan
-    with pytest.raises(rs.InputError, match="must be finite, or all NaN for an absent arm without a target"):
-        replace(paths, theta=theta, phi=phi)
-    others = np.arange(len(plane)) != 3
-    flags = {"arrives": paths.arrives & others, "assigned": paths.assigned & others}
-    paths = replace(paths, theta=theta, phi=phi, **flags)
+    paths = replace(paths, theta=theta, phi=phi)
     paths.write(tmp_path / "paths.ecsv")
     again = Paths.read(tmp_path / "paths.ecsv", plane)
-    np.testing.assert_array_equal(again.fiber, paths.fiber)
+    present = np.arange(len(plane)) != 3
+    np.testing.assert_array_equal(again.fiber[present], paths.fiber[present])
     assert set(again.fiber) == {0, 1}
     assert np.isnan(again.theta[slice(*again.start[3:5])]).all()
     assert not again.arrives[3]
+    assert again.table.meta["absent"] == ["3"]
 
 
 def rows_of(table, motion, key):
@@ -185,14 +182,17 @@ def moved_stuck(table):
 
 
 REVERSAL, TIMES = "the motion unfold must be the exact reversal", "the times of each positioner must increase from 0 s"
-NOT_FINITE = "finite, or all NaN for an absent arm without a target, but those of 1 positioner are.*the positioner 3$"
+NOT_FINITE = (
+    "must be at most 36000 deg, or all NaN if the arm is absent, but those of 1 positioner are not.*the positioner 3$"
+)
 DAMAGE = {
     "another angle": (lambda t: set_one(t, "theta", 1 * DEG), REVERSAL),
     "another time": (lambda t: set_one(t, "time", 0.01 * u.s), REVERSAL),
     "another angle twice": (lambda t: set_both(t, "phi", -1000 * DEG), "must not collide, but [0-9]+ pairs? of arms"),
-    "NaN": (lambda t: set_one(t, "theta", np.nan * DEG), "finite|reversal"),
+    "NaN": (lambda t: set_one(t, "theta", np.nan * DEG), NOT_FINITE),
     "NaN twice": (lambda t: set_both(t, "theta", np.nan * DEG), NOT_FINITE),
     "infinity twice": (lambda t: set_both(t, "phi", np.inf * DEG), NOT_FINITE),
+    "huge angle twice": (lambda t: set_both(t, "theta", 1e15 * DEG), NOT_FINITE),
     "time NaN": (lambda t: set_one(t, "time", np.nan * u.s), TIMES),
     "time 0 twice": (lambda t: set_one(t, "time", 0 * u.s), TIMES),
     "negative time": (lambda t: set_one(t, "time", -1 * u.s), TIMES),
@@ -289,7 +289,7 @@ def flooded(plane, i, theta, phi, sign, size=0.5):
     return seen[:, -1].any()
 
 
-@pytest.mark.parametrize("seeds", [range(15), pytest.param(range(15, 80), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 80), marks=pytest.mark.exhaustive)])
 def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
     """Fiducials around an arm with a narrow range of theta leave a path to the folded pose, or none."""
     n_locked = n_arriving = 0
@@ -312,12 +312,17 @@ def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
             continue
         paths = find_paths(plane, arms, motion=JointMotion(phi_range=[0, 180] * DEG))
         possible, certain = (flooded(plane, 0, (turn, turn + width), pose, sign) for sign in (-1, 1))
-        locked = [reason for ids, reason in paths.groups if ids == ["0"]] == [LOCKED]
+        locked = [reason for ids, reason in paths.groups if list(ids) == [0]] == [LOCKED]
         assert not (locked and certain), seed
         assert not (paths.arrives[0] and not possible), seed
         assert paths.arrives[0] or not certain, seed
+        columns, motion = plane.arrays, JointMotion(phi_range=[0, 180] * DEG)
+        prepared = arms_of(columns, arms, motion, 0.05)
+        proven = _Planner(columns, prepared, np.deg2rad(1), rng)._is_locked(0)  # the planner asks only if it fails
+        assert not (proven and certain), seed
         if not flooded(plane, 0, (turn, turn + width), pose, -3):
             assert locked, seed
+            assert proven, seed
         n_locked, n_arriving = n_locked + locked, n_arriving + bool(paths.arrives[0])
     assert n_locked > len(seeds) / 8
     assert n_arriving > len(seeds) / 8

@@ -82,6 +82,14 @@ def _troubles(unit, pitch, scale=1.0):
     )
 
 
+def _part_of(name):
+    """Return 19 neighboring positioners of a preset."""
+    plane = rs.Instrument.preset(name).focal_plane
+    xy = plane.xy.to_value(MM)
+    rows = np.argsort(np.hypot(*(xy - xy[len(xy) // 3]).T), kind="stable")[:19]
+    return rs.FocalPlane(plane.xy[np.sort(rows)], plane.positioner)
+
+
 SEGMENT = rs.Positioner(7.4 * MM, 15 * MM, 1.5 * MM, step=0.1 * DEG)
 SMALL = {
     "segments": lambda: _hexagonal(SEGMENT, 22.4),
@@ -92,6 +100,9 @@ SMALL = {
     "fiber tips": lambda: _hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 2.2 * MM, arm_model="fiber_tip"), 22.4),
     "outlines": lambda: _hexagonal(DESI_LIKE, 9.5),
     "as built": lambda: _as_built(np.random.default_rng(5)),
+    "desi": lambda: _part_of("desi"),
+    "pfs": lambda: _part_of("pfs"),
+    "moons": lambda: _part_of("moons"),
     "troubles": lambda: _troubles(SEGMENT, 22.4),
     "troubles of outlines": lambda: _troubles(DESI_LIKE, 9.5, 0.4),
 }
