@@ -108,7 +108,7 @@ def find_paths(
     >>> rs.collision.find_motion(plane, targets).n_planner
     2
     >>> rs.collision.find_paths(plane, targets)
-    <Paths: 2 of 2 arms with a target arrive in 23.4 s, smallest distance 4.043 mm>
+    <Paths: 2 of 2 arms with a target arrive in 22.2 s, smallest distance 4.111 mm>
     """
     check_plane(focal_plane)
     h = to_scalar(step, u.rad, "step", low=0)
@@ -241,18 +241,19 @@ class _Planner:
     def _is_locked(self, i) -> bool:
         """Return whether arm i certainly has no path to its folded pose, even if all arms that can move are removed."""
         is_open, _, _, (k, m), fold = self._cells_of(i, CELL)
-        return not path_search.reaches_fold(is_open, k, m, fold)
+        return not path_search.reaches_fold(is_open, self.prepared.turns_freely[i], k, m, fold)
 
     def _are_interlocked(self, i, j) -> bool:
         """Return whether the arms i and j certainly have no paths, even if all other arms that can move are removed."""
         limits = self.columns.limits
         is_open, cells, slack, begin, folds = zip(*(self._cells_of(k, PAIR_CELL) for k in (i, j)), strict=True)
         separation = limits.separation - sum(slack)
+        cyclic = tuple(self.prepared.turns_freely[[i, j]].tolist())
         first = tuple(k * flags.shape[1] + m for (k, m), flags in zip(begin, is_open, strict=True))
         return (
             separation > 0.0
             and path_search.reach_fold_together(
-                np.hstack(cells), limits, i, j, *is_open, first, folds, separation, MOST_STATES
+                np.hstack(cells), limits, i, j, *is_open, cyclic, first, folds, separation, MOST_STATES
             )
             == path_search.LOCKED
         )

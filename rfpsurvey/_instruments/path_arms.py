@@ -28,6 +28,7 @@ class PathArms(NamedTuple):
     home: np.ndarray  # theta of the arms in the home pose, within the joint limits
     theta_zero: np.ndarray  # theta in the convention of the kernels minus the joint angle
     phi_zero: np.ndarray  # psi - theta minus the joint angle phi
+    turns_freely: np.ndarray  # whether theta of each arm has no limits, except those that are assumed for its cables
     enclosed: np.ndarray  # idle arms that collide in all poses, and the arms with which they collide
     beyond: np.ndarray  # arms whose poses are beyond the ranges of their joints
 
@@ -83,7 +84,7 @@ def arms_of(columns, posed, motion, margin: float) -> PathArms:
     free = columns.usable & ~absent & ~enclosed & ~beyond
     limits = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
     around = around._replace(**limits, free=free)
-    return PathArms(bodies, around, theta, psi, home, theta_zero, phi_zero + offset, enclosed, beyond)
+    return PathArms(bodies, around, theta, psi, home, theta_zero, phi_zero + offset, unlimited, enclosed, beyond)
 
 
 def _ends(given, low, high):
@@ -171,6 +172,7 @@ def _check_start(columns, segments, idle):
         distance = path_steps.distance_at_rest(segments, limits, i, i, j, j, limits.separation + WIDE)
         if distance <= limits.separation + TOLERANCE:
             raise InputError(
-                f"the arms must not collide in the poses of the plan, but the arms of the positioners {ids[i]} and "
-                f"{ids[j]} collide; find_collisions lists all collisions"
+                "the arms must not collide in the poses of the plan, but the arms of the positioners "
+                f"{ids[i]} and {ids[j]} collide, or are closer than the minimum separation plus 1e-6 mm; "
+                "find_collisions lists all collisions"
             )

@@ -73,7 +73,7 @@ class Paths:
     >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
     >>> paths = rs.collision.find_paths(plane, [[16, -12], [14, 12]] * u.mm)
     >>> paths
-    <Paths: 2 of 2 arms with a target arrive in 23.4 s, smallest distance 4.043 mm>
+    <Paths: 2 of 2 arms with a target arrive in 22.2 s, smallest distance 4.111 mm>
     """
 
     focal_plane: FocalPlane
@@ -90,14 +90,11 @@ class Paths:
     def __post_init__(self):
         check_plane(self.focal_plane)
         columns, ids, knots = self._columns, self.focal_plane.id, self._knots
-        pairs = columns.neighbors
-        near = np.empty(len(pairs))
-        joint_motion.find_near(knots, self._bodies, columns.limits, pairs, columns.limits.separation, near)
-        if (near < np.inf).any():
-            k = int(np.argmin(near))
-            i, j = pairs[k]
+        pairs = near_pairs(knots, self._bodies, columns)
+        if len(pairs):
+            i, j = pairs[0]
             raise InputError(
-                f"the arms of a path must not collide, but {number_of(int((near < np.inf).sum()), 'pair')} of arms "
+                f"the arms of a path must not collide, but {number_of(len(pairs), 'pair')} of arms "
                 f"come closer than the minimum separation, {columns.separation:.4g} mm; the first are those of the "
                 f"positioners {ids[i]} and {ids[j]}"
             )
@@ -199,7 +196,7 @@ class Paths:
 
         Distances that exceed the minimum separation by more than 1 mm are not distinguished.
         """
-        limits, pairs = self._columns.limits, self._columns.neighbors
+        limits, pairs = self._columns.limits, _movable(self._columns)
         low, high = limits.separation, limits.separation + BEYOND
         middle = high
         while high - low > WITHIN:
@@ -336,7 +333,10 @@ class Paths:
         if "fiber_type" in table.colnames:
             fiber = plane.arrays.index_of(to_plain(table["fiber_type"], "fiber_type").astype(str)[first])
         angles = (np.rad2deg(v[order]) << u.deg for v in (theta, phi))
-        groups = tuple((ids, reason) for *ids, reason in meta.get("groups", ()))
+        groups = meta.get("groups", [])
+        if not isinstance(groups, list) or not all(isinstance(g, list) and len(g) > 1 for g in groups):
+            raise InputError(f"the entry groups of the paths must be lists of identifiers and a reason, got {groups}")
+        groups = tuple(([str(i) for i in ids], str(reason)) for *ids, reason in groups)
         return cls(plane, start, time[order] << u.s, *angles, arrives, assigned, fiber, groups, dict(meta))
 
     def _reversed(self):
@@ -371,8 +371,11 @@ def _close(first, second, name):
 
 
 def near_pairs(knots, bodies, columns) -> np.ndarray:
-    """Return the pairs of positioners whose arms come closer than the minimum separation on their paths."""
-    pairs, limits = columns.neighbors, columns.limits
+    """Return the pairs of positioners whose arms come closer than the minimum separation on their paths.
+
+    Pairs of broken positioners, which do not move, are omitted.
+    """
+    pairs, limits = _movable(columns), columns.limits
     near = np.empty(len(pairs))
     joint_motion.find_near(knots, bodies, limits, pairs, limits.separation, near)
     return pairs[near < np.inf]
@@ -383,4 +386,9 @@ def near_obstacles(knots, bodies, columns) -> np.ndarray:
     pairs = columns.obstacle_pairs
     near = np.empty(len(pairs))
     joint_motion.find_near_obstacles(knots, bodies, columns.limits, pairs, columns.obstacles, columns.clearance, near)
-    return near < np.inf
+    return (near < np.inf) & columns.usable[pairs[:, 0]]
+
+
+def _movable(columns):
+    """Return the pairs of neighbors of which at least one is usable."""
+    return columns.neighbors[columns.usable[columns.neighbors].any(axis=1)]

@@ -28,6 +28,7 @@ OFFSETS = ("alphaOffset", "betaOffset", "dx", "dy")
 FIBERS = {"BOSS": ("bossX", "bossY"), "APOGEE": ("apX", "apY"), "METROLOGY": ("metX", "metY")}
 VECTORS = ("ix", "iy", "iz", "jx", "jy", "jz")
 COEFFICIENTS = ("c0", "c1", "c2", "c3", "c4")
+HOME = [10.0, 170.0] * u.deg  # alpha and beta of the lattice position
 HOLE = re.compile(r"R[+-]?\d+C\d+")
 # Limits of possible values; other values count as missing. Lengths are in mm, and angles in degrees.
 LARGEST = 400.0  # distance from the center of the wok, whose radius is about 350 mm
@@ -294,7 +295,9 @@ def _plane(nominal, robots, ids, xy, axis, types, notes) -> FocalPlane:
     zeros = np.column_stack([axis + np.deg2rad(values["alphaOffset"]), np.deg2rad(values["betaOffset"])])
     return FocalPlane(
         base * u.mm,
-        replace(nominal.positioner, arm_angle=None, theta_range=[0, 360] * u.deg, phi_range=[0, 180] * u.deg),
+        replace(
+            nominal.positioner, arm_angle=None, home=HOME, theta_range=[0, 360] * u.deg, phi_range=[0, 180] * u.deg
+        ),
         id=ids,
         spectrograph=np.tile(np.arange(2), (len(ids), 1)),
         fiber_type=np.array(["+".join(np.array(names)[row]) for row in types]),
@@ -376,6 +379,7 @@ def _entries(plane, nominal, maps, folder) -> dict:
     entries = {
         "positioner.central_arm": entry(arm, f"{where}, median of alphaArmLen", "derived", "mm"),
         "positioner.fiber_xy": entry(places, f"{where}, medians of the positions of the fibers", "derived", "mm"),
+        "positioner.home": entry(HOME.value.tolist(), jaeger, unit="deg"),
         "positioner.theta_range": entry([0.0, 360.0], jaeger, unit="deg"),
         "positioner.phi_range": entry([0.0, 180.0], jaeger, unit="deg"),
         "layout.robots": entry(len(plane), f"{where}; positions from wokCoords.csv"),

@@ -172,8 +172,11 @@ def mark_open(bodies, limits, around, i, low, size, slack, segments, cells, is_o
 
 
 @kernel
-def reaches_fold(is_open, k, m, fold):
-    """Return whether the open cells that are connected with the cell (k, m) contain a cell (any, fold)."""
+def reaches_fold(is_open, cyclic, k, m, fold):
+    """Return whether the open cells that are connected with the cell (k, m) contain a cell (any, fold).
+
+    If ``cyclic`` is true, the first and the last direction theta are neighbors.
+    """
     n_theta, n_phi = is_open.shape
     seen = ~is_open
     stack = np.empty((n_theta * n_phi + 1, 2), np.int64)
@@ -186,6 +189,7 @@ def reaches_fold(is_open, k, m, fold):
         if m == fold:
             return True
         for u, v in ((k - 1, m), (k + 1, m), (k, m - 1), (k, m + 1)):
+            u = u % n_theta if cyclic else u
             if 0 <= u < n_theta and 0 <= v < n_phi and not seen[u, v]:
                 seen[u, v] = True
                 stack[used, 0], stack[used, 1] = u, v
@@ -194,11 +198,12 @@ def reaches_fold(is_open, k, m, fold):
 
 
 @kernel
-def reach_fold_together(cells, limits, i, j, open_i, open_j, first, folds, separation, most):
+def reach_fold_together(cells, limits, i, j, open_i, open_j, cyclic, first, folds, separation, most):
     """Return OPEN if two arms can reach folded poses between the centers of cells, LOCKED if not, or UNKNOWN.
 
-    ``cells`` contains the segments of all cells of arm i, then those of arm j. ``first`` is the number of the cell of
-    each arm in these lists, and ``folds`` are the numbers of the angles phi of folded arms. The result is UNKNOWN if
+    ``cells`` contains the segments of all cells of arm i, then those of arm j. ``cyclic`` states for each
+    arm whether the first and the last direction theta are neighbors. ``first`` is the number of the cell of each arm in
+    these lists, and ``folds`` are the numbers of the angles phi of folded arms. The result is UNKNOWN if
     more than ``most`` pairs of cells remain to be examined at the same time.
     """
     n, n_phi, other_phi = open_j.size, open_i.shape[1], open_j.shape[1]
@@ -219,7 +224,7 @@ def reach_fold_together(cells, limits, i, j, open_i, open_j, first, folds, separ
             is_open, cell, wide = (open_i, a, n_phi) if arm == 0 else (open_j, b, other_phi)
             theta, phi = cell // wide, cell % wide
             if joint == 0:
-                theta += way
+                theta = (theta + way) % is_open.shape[0] if cyclic[arm] else theta + way
             else:
                 phi += way if folds[arm] >= phi else -way
             if theta < 0 or theta >= is_open.shape[0] or phi < 0 or phi >= wide or not is_open[theta, phi]:

@@ -49,6 +49,12 @@ def distance_at_rest(segments, limits, a, i, b, j, ahead):
 
 
 @kernel
+def swept_in(bodies, i, step):
+    """Return the largest distance by which a point of arm i moves if both joints rotate by ``step``."""
+    return step * max(bodies.l1[i] + 2.0 * bodies.reach[i], bodies.central)
+
+
+@kernel
 def blocked_by(bodies, limits, around, state, i, turn, psi_turn, gaps):
     """Return the neighbor that arm i would come near to, or -2 for an obstacle, or -1 if the motion is possible."""
     theta, psi, rate, psi_rate, decided = state
@@ -166,7 +172,7 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                 for k in range(around.start[i], around.start[i + 1]):
                     j = around.near[k]
                     # no gap shrinks by more than this in a step; a gap is computed again when it could be too small
-                    most = step * (bodies.l1[i] + bodies.l1[j] + 2.0 * (bodies.reach[i] + bodies.reach[j]))
+                    most = swept_in(bodies, i, step) + swept_in(bodies, j, step)
                     gap = known[k] - (t - known_at[k]) * most
                     if not gap > around.separation[k] + most + TOLERANCE:
                         ahead = around.separation[k] + LOOK_AHEAD * most

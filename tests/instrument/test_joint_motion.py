@@ -11,7 +11,7 @@ import rfpsurvey as rs
 from rfpsurvey.positioner import JointMotion
 
 LAMOST = JointMotion([0, 360] * u.deg, [0, 180] * u.deg)
-SDSS = replace(LAMOST, theta_speed=11.71875 * u.deg / u.s, phi_speed=11.71875 * u.deg / u.s)
+SDSS = JointMotion([-90, 270] * u.deg, [0, 180] * u.deg, 11.71875 * u.deg / u.s, 11.71875 * u.deg / u.s)
 MOONS = JointMotion([-180, 180] * u.deg, [0, 330] * u.deg, 16.68 * u.deg / u.s, 22.5 * u.deg / u.s)
 DESI = JointMotion(theta_speed=176.07 * u.deg / u.s, phi_speed=176.07 * u.deg / u.s)
 PUBLISHED = {"lamost": LAMOST, "sdss_apo": SDSS, "sdss_lco": SDSS, "moons": MOONS, "desi": DESI}
@@ -41,7 +41,16 @@ def test_plans_do_not_depend_on_the_motion(presets, name):
 def test_instruments_as_built_keep_the_speeds(real_data):
     built = rs.Instrument.read(real_data("desi/fp-metrology.csv.gz"))
     assert built.motion == DESI
-    assert rs.Instrument.from_sdssv(real_data("sdssv_apo_2021")).motion == SDSS
+    built = rs.Instrument.from_sdssv(real_data("sdssv_apo_2021"))
+    assert built.motion == SDSS
+
+
+def test_the_stops_and_the_parked_pose_of_sdss_are_those_of_the_real_instrument(presets, real_data):
+    plane = rs.Instrument.from_sdssv(real_data("sdssv_apo_2021")).focal_plane
+    zero = np.median(plane.zero_points[:, 0].to_value(u.deg))
+    stops, home = presets["sdss_apo"].motion.theta_range, presets["sdss_apo"].focal_plane.positioner.home
+    assert np.abs(plane.positioner.theta_range.value + zero - stops.value).max() < 1
+    assert abs(plane.positioner.home[0].value + zero - home[0].value) < 1
 
 
 def test_a_description_with_a_motion(tmp_path):
