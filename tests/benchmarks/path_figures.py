@@ -33,8 +33,8 @@ DESIGNS = {  # reach in units of the pitch: central arm, eccentric arm, clearanc
     1.8: (14.0, 16.6, 1.5, 17.0),
     2.2: (15.0, 18.0, 1.25, 15.0),
 }
-STOP = [-90, 270] * u.deg
-"""Range of theta of SDSS-V if theta is measured from the x axis, and the stop is in the direction of -y."""
+ZERO = -90.0
+"""theta (deg) of the arms of SDSS-V at alpha = 0, which is a stop of the joint."""
 
 
 def sdss_scene(name):
@@ -64,9 +64,9 @@ def plans(names=SCENES):
 
 
 def motions():
-    """Return the joint motions of SDSS-V: the ranges of the preset, those with the stop at -y, and no ranges."""
+    """Return the joint motions of SDSS-V: with the ranges of the preset, and without ranges."""
     motion = rs.Instrument.preset("sdss_apo").motion
-    return {"preset": motion, "stop at -y": replace(motion, theta_range=STOP), "no ranges": None}
+    return {"preset": motion, "no ranges": replace(motion, theta_range=None, phi_range=None)}
 
 
 def measured(plane, plan, motion, repeats=1, **options):
@@ -127,34 +127,32 @@ def peer(given):
     }
     for name, plane, plan in plans(given.scenes or SCENES):
         compile_paths(plane, plan, None)
-        zeros = {"stop at -y": -90, "preset": 0}
-        for label, zero in zeros.items() if given.only == "" else [(given.only, zeros[given.only])]:
-            motion, posed = motions()[label], plan.place_arms(plane)
-            columns = plane.arrays.using(posed.fiber)
-            start = arms_of(columns, posed, motion, 0.0)
-            alpha, beta = np.rad2deg(start.theta) - zero, np.rad2deg(start.psi - start.theta)
-            print(f"{name} {label}: poses that kaiju forbids near fiducials: {len(forbidden(plane, alpha, beta))}")
-            has_target = plan.target_of_positioner >= 0
-            for step in given.steps:
-                _, late, _, seconds, duration, _ = measured(plane, plan, motion, step=step * u.deg)
-                print(f"  {step:>3} deg this planner: {late} late, {seconds:.2f} s, duration {duration:.0f} s")
-                for method in given.methods or methods:
-                    grid = make_path_grid(plane, step, 1, zero)
-                    for i, robot in grid.robotDict.items():
-                        robot.setAlphaBeta(alpha[i], beta[i])
-                        robot.setDestinationAlphaBeta(10.0, 170.0)
-                    with quiet():
-                        _, seconds = timed(methods[method], grid)
-                    scores = np.array([grid.robotDict[i].score() for i in range(len(plane))])
-                    turned = np.array([abs(grid.robotDict[i].beta - 170.0) > 1e-9 for i in range(len(plane))])
-                    duration = grid.nSteps * step / 11.71875
-                    near, hits, least = proof(plane, columns, start, grid, zero)
-                    print(
-                        f"  {step:>3} deg kaiju {method:<6}: {(has_target & (scores != 0)).sum()} late, of them "
-                        f"{(has_target & turned).sum()} not folded, {seconds:.1f} s, duration {duration:.0f} s; "
-                        f"between the steps, {near} pairs and {hits} obstacles too close, smallest {least:.3f} mm",
-                        flush=True,
-                    )
+        motion, posed = motions()["preset"], plan.place_arms(plane)
+        columns = plane.arrays.using(posed.fiber)
+        start = arms_of(columns, posed, motion, 0.0)
+        alpha, beta = np.rad2deg(start.theta) - ZERO, np.rad2deg(start.psi - start.theta)
+        print(f"{name}: poses that kaiju forbids near fiducials: {len(forbidden(plane, alpha, beta))}")
+        has_target = plan.target_of_positioner >= 0
+        for step in given.steps:
+            _, late, _, seconds, duration, _ = measured(plane, plan, motion, step=step * u.deg)
+            print(f"  {step:>3} deg this planner: {late} late, {seconds:.2f} s, duration {duration:.0f} s")
+            for method in (given.methods or methods) if step <= 0.5 else ():
+                grid = make_path_grid(plane, step, 1, ZERO)
+                for i, robot in grid.robotDict.items():
+                    robot.setAlphaBeta(alpha[i], beta[i])
+                    robot.setDestinationAlphaBeta(10.0, 170.0)
+                with quiet():
+                    _, seconds = timed(methods[method], grid)
+                scores = np.array([grid.robotDict[i].score() for i in range(len(plane))])
+                turned = np.array([abs(grid.robotDict[i].beta - 170.0) > 1e-9 for i in range(len(plane))])
+                duration = grid.nSteps * step / 11.71875
+                near, hits, least = proof(plane, columns, start, grid, ZERO)
+                print(
+                    f"  {step:>3} deg kaiju {method:<6}: {(has_target & (scores != 0)).sum()} late, of them "
+                    f"{(has_target & turned).sum()} not folded, {seconds:.1f} s, duration {duration:.0f} s; "
+                    f"between the steps, {near} pairs and {hits} obstacles too close, smallest {least:.3f} mm",
+                    flush=True,
+                )
 
 
 def proof(plane, columns, start, grid, zero):
@@ -241,7 +239,7 @@ def setting(**values):
 
 
 class _GreedyOnly(planner._Planner):
-    def search_groups(self):
+    def search_groups(self, examine):
         pass
 
 
@@ -258,36 +256,12 @@ def levels(given):
                 print_sums(f"  {part:<22}", [measured(*one) for one in scenes])
 
 
-VALUES = {
-    "N_NODES": (1_500, 24_000),
-    "GROUP": (3, 6),
-    "REACH": np.deg2rad([5.0, 20.0]),
-    "PATIENCE": np.deg2rad([20.0, 120.0]),
-    "PRESSED": np.deg2rad([5.0, 60.0]),
-    "STAGES": (((1.0, 4.0, 1.0),) * 4, (planner.STAGES[2], *planner.STAGES), 2 * planner.STAGES),
-}
-
-
-def settings(given):
-    """Other values of the constants of the planner, and other margins, over scenes of several instruments."""
-    scenes = [one for _, scenes in planned(given, (5,)) for one in scenes if len(one[0]) < 3000]
-    for one in scenes:
-        compile_paths(*one)
-    trials = [({}, {}), *(({name: value}, {}) for name, values in VALUES.items() for value in values)]
-    trials += [({}, {"margin": margin * u.mm}) for margin in (0.0, 0.02, 0.2)]
-    trials += [({}, {"step": step * u.deg}) for step in (2.0, 0.5)]
-    for values, options in trials:
-        with setting(**values):
-            rows = [measured(*one, **options) for one in scenes]
-        print_sums(f"{values | options}: total {sum(row[3] for row in rows):.1f} s", rows)
-
-
-PARTS = (steps, peer, instruments, growth, levels, settings)
+PARTS = (steps, peer, instruments, growth, levels)
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
     names = [part.__name__ for part in PARTS]
-    options = {"scenes": [""], "steps": [2.0, 1.0, 0.5, 0.2, 0.1], "methods": [""], "only": "", "n": 20}
+    options = {"scenes": [""], "steps": [4.0, 2.0, 1.0, 0.5, 0.1], "methods": [""], "only": "", "n": 20}
     chosen = arguments(__doc__, names, **options)
     chosen.scenes, chosen.methods = ([one for one in v if one] for v in (chosen.scenes, chosen.methods))
     for part in PARTS:
