@@ -1,4 +1,4 @@
-"""The order in which positioners lose their targets, against a slow program, and kinds of candidates."""
+"""The order in which positioners lose and receive targets, against slow programs, and kinds of candidates."""
 
 import numpy as np
 import pytest
@@ -72,6 +72,45 @@ def test_targets_are_removed_in_the_order_of_collisions(seeds):
         n_idle_collide += int(fixed.sum())
     assert n_dropped > len(seeds)
     assert n_idle_collide > len(seeds) / 10
+
+
+def fill_slowly(options, order, need, group, held, most, plan):
+    """Return the plan after candidates of a group were assigned; all counts are made again before each decision."""
+    excluded = [{*options.excluded[a:b].tolist()} for a, b in zip(options.indptr, options.indptr[1:], strict=False)]
+    plan = plan.copy()
+    for i in order.tolist():
+        for c in range(options.start[i], options.start[i + 1]) if need > 0 else ():
+            after = np.append(np.delete(plan, i), c)
+            if options.target[c] in {*options.target[plan].tolist()} - {-1} or excluded[c] & {*plan.tolist()}:
+                continue
+            counts, before = held[:, after].sum(axis=1), held[:, plan].sum(axis=1)
+            if held[group, c] and not ((counts > most) & (counts > before)).any():
+                plan[i], need = c, need - 1
+                break
+    return plan
+
+
+def test_candidates_of_a_group_are_assigned_without_collisions_and_within_all_maxima():
+    n_filled, first_target_in_use = 0, 0
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        options, plan, n_targets = random_candidates(rng)
+        held = rng.random((3, len(options.owner))) < 0.5
+        held[:, options.target < 0] = False
+        count = held[:, plan].sum(axis=1)
+        most, need = count + rng.integers(0, 4, 3), int(rng.integers(1, 4))
+        order = rng.permutation(np.flatnonzero(~held[0, plan]))
+        now, blocked = np.full(len(plan), -1), np.zeros(len(options.owner), dtype=np.int64)
+        holder = np.full(n_targets, -1)
+        repair.put_all(plan, options, now, blocked, holder)
+        repair.fill_group(order, need, 0, held, count, most, options, now, blocked, holder)
+        expected = fill_slowly(options, order, need, 0, held, most, plan)
+        assert now.tolist() == expected.tolist(), seed
+        np.testing.assert_array_equal(count, held[:, now].sum(axis=1))
+        n_filled += int((now != plan).sum())
+        first_target_in_use += int((options.target[plan] == 0).any())
+    assert n_filled > 100
+    assert first_target_in_use > 20
 
 
 @pytest.mark.parametrize("n_flags", [1, 63, 64, 65, 336])

@@ -66,6 +66,17 @@ def test_numbers_on_the_cameras_of_sdssv_equal_an_independent_computation(second
     assert (tile.rules["number"][0], tile.rules["verdict"][0]) == (min(expected), "pass")
 
 
+@pytest.mark.filterwarnings("ignore:.*guide_stars")
+def test_the_number_of_a_maximum_is_that_of_the_camera_with_the_most_stars(real_data, presets):
+    stars = stars_around(CENTER)
+    expected = counts_of(stars.coord, stars.extra["gaia_g"], CENTER, 0, real_data, 12, 17.5)
+    assert len({*expected}) > 2
+    for minimum, maximum, verdict in ((0, max(expected), "pass"), (1, min(expected), "fail")):
+        rule = GuideStars("gaia_g", 12, 17.5, minimum, maximum)
+        tile = flat.plan_tile(stars, presets["sdss_apo"], CENTER, "nearest", constraints=rule)
+        assert (tile.rules["number"][0], tile.rules["verdict"][0]) == (max(expected), verdict)
+
+
 def test_a_recorded_configuration_is_checked_with_a_catalog_of_stars(real_data):
     """Without such a catalog or without the field center, the rule is not checkable."""
     plan, apo = rs.plans.read_plan(real_data("sdssv_apo_2021/confSummary-998.par.gz")), rs.Instrument.preset("sdss_apo")

@@ -61,6 +61,15 @@ def same(one, other):
     assert (one.summary, one.provenance) == (other.summary, other.provenance)
 
 
+def test_the_progress_increases_to_the_number_of_plans(case):
+    """Each tile is planned for each realization, after the targets in its reach are counted; 33 are two blocks."""
+    told, n_tiles = [], len(case[2])
+    compute(case, None, 33, progress=lambda *numbers: told.append(numbers))
+    assert told == sorted(told)
+    assert {total for _, total in told} == {34 * n_tiles}
+    assert {n_tiles, 33 * n_tiles, 34 * n_tiles} <= {done for done, _ in told}
+
+
 def test_what_is_written_is_what_is_held(case, tmp_path, undisturbed):
     assert set(undisturbed) == {"index.csv", "selection.json", "selection.fits"}
     held = compute(case, None)

@@ -3,6 +3,7 @@
 import astropy.units as u
 import numpy as np
 import pytest
+from astropy.table import Table
 
 import rfpsurvey as rs
 from realizations import sky_of, tiles_of
@@ -77,3 +78,17 @@ def test_targets_with_the_same_identifier_are_refused(small, allocator):
     sky = rs.Catalog(sky.coord, id=np.arange(len(sky)) // 5)
     with pytest.raises(rs.InputError, match="the targets must have different ids"):
         rs.selection_probabilities(sky, small, tiles_of(0.5, 2), 2, allocator=allocator)
+
+
+@pytest.mark.parametrize("allocator", ["nearest", "repair"])
+def test_a_tile_without_targets_in_reach_changes_no_realization(small, allocator):
+    sky, tiles = sky_of(0.8, 400), tiles_of(0.5, 2)
+    table = Table({"ra": tiles.coord.ra, "dec": tiles.coord.dec, "pass": [1] * len(tiles)})
+    far = table.copy()
+    far.add_row([table["ra"][0], -20.0, 1])
+    few, more = (
+        rs.selection_probabilities(sky, small, rs.Tiling.from_table(one), 3, allocator=allocator)
+        for one in (table, far)
+    )
+    assert few.bits.any()
+    np.testing.assert_array_equal(more.bits, few.bits)
