@@ -31,9 +31,14 @@ COLLISION = (
     "input_validation"
 )
 ALLOCATION = (
-    "constraints/requirements allocation/repair allocation/sky allocation/allocate allocation/methods "
-    "allocation/records allocation/quotas allocation/random_quotas regressions input_validation allocation/search "
-    "allocation/optimal"
+    "allocation/idle allocation/local_moves constraints/requirements allocation/repair allocation/sky "
+    "allocation/allocate allocation/methods allocation/records allocation/quotas allocation/random_quotas regressions "
+    "input_validation allocation/search allocation/optimal"
+)
+CONSTRAINTS = (
+    "constraints/constraints constraints/guide_stars constraints/requirements constraints/columns "
+    "constraints/keep_out constraints/user_constraint constraints/user_counts constraints/verdicts_and_fibers "
+    "constraints/idle_fibers constraints/rules constraints/design_modes constraints/distribution constraints/motion"
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
@@ -49,14 +54,20 @@ def files(package, names):
 
 TESTS = {
     "rfpsurvey/_assignment/plugin.py": "allocation/allocator_plugins plugins " + ALLOCATION,
+    "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
+    "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets " + ALLOCATION,
+    **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
     "rfpsurvey/_assignment/*": ALLOCATION,
     "rfpsurvey/_studies/run.py": "compare/instruments " + PROBABILITY,
     "rfpsurvey/_studies/methods.py": "probability/method_plugins plugins " + PROBABILITY,
     **dict.fromkeys(
         files("_studies", "collision_probability intervals question quadrature simulate targets surrogate"), PROBABILITY
     ),
+    **dict.fromkeys(files("_instruments", "arms count_collisions collision_methods"), COLLISION),
+    "rfpsurvey/_instruments/find_collisions.py": COLLISION + " allocation/repair",
     **dict.fromkeys(
-        files("_instruments", "arms count_collisions find_collisions collision_methods motion moves"), COLLISION
+        files("_instruments", "motion moves"),
+        "collision/motion constraints/motion allocation/motion instrument/joint_motion",
     ),
     "rfpsurvey/_instruments/compare_projections.py": "observing/models",
     **dict.fromkeys(
@@ -64,7 +75,10 @@ TESTS = {
         "observing/observing observing/wrong_conditions observing/models",
     ),
     "rfpsurvey/_sky/distortion_map.py": "projection/distortion_map",
-    "rfpsurvey/_survey/selection/*": "selection/bits selection/work selection/potential selection/replay selection/run",
+    "rfpsurvey/_survey/selection/*": (
+        "selection/bits selection/work selection/potential selection/replay selection/failures selection/run "
+        "selection/alternate"
+    ),
     "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets " + ALLOCATION,
     "rfpsurvey/_kernels/arms.py": (
         "positioner/positioner focal_plane/focal_plane focal_plane/coverage allocation/sky allocation/allocate "
@@ -83,7 +97,8 @@ TESTS = {
         "probability/closed_form probability/targets probability/quadrature probability/collision_probability"
     ),
     "rfpsurvey/_kernels/repair.py": (
-        "allocation/repair allocation/quotas allocation/random_quotas allocation/sky allocation/allocate"
+        "allocation/local_moves allocation/repair allocation/quotas allocation/random_quotas allocation/sky "
+        "allocation/allocate"
     ),
     "rfpsurvey/_kernels/simulate.py": COUNTS.partition(" ")[2],
 }

@@ -220,6 +220,39 @@ def test_programs_of_some_positioners_count_the_neighbors_of_all_fibers():
     assert len(found) > 4
 
 
+@pytest.mark.filterwarnings("ignore:no target of the catalog is", "ignore:.*required")
+def test_neighbors_of_violated_rules_are_dropped_unless_they_are_required():
+    n_dropped = n_kept = 0
+
+    def allocator(problem):
+        nonlocal n_dropped, n_kept
+        everything, rng = find_candidates(problem), np.random.default_rng(seed)
+        options, idle = everything.options, everything.options.start[1:] - 1
+        chosen = np.array([rng.integers(a, b) for a, b in pairwise(options.start)])
+        target = options.target[chosen]
+        again = np.isin(np.arange(len(target)), np.unique(target, return_index=True)[1], invert=True)
+        chosen = np.where(again, idle, chosen)  # each target has at most one positioner
+        row = np.hypot(*(problem.xy[:, None] - scene.xy).T).argmin(axis=0)
+        plan = [(i, int(row[t])) for i, t in enumerate(options.target[chosen].tolist()) if t >= 0]
+        expected = chosen.copy()
+        for rule in [spread.rule for spread in everything.spreads]:  # without rules that no plan can follow
+            for i, t in plan if scene.deficit(rule, plan)[0] else ():
+                if scene.is_member(rule, rule.what, i, t):
+                    expected[i] = chosen[i] if t in required else idle[i]
+                    n_kept += t in required
+                    n_dropped += t not in required
+        np.testing.assert_array_equal(drop_neighbors(everything, chosen), expected, err_msg=str(seed))
+        return np.full(len(chosen), -1)
+
+    allocator.distribution = "goal"
+    for seed in range(40):
+        scene = Scene(seed)
+        required = np.flatnonzero(scene.kind != "science")[::2].tolist()
+        scene.constraints = [*scene.rules, rs.Required(tuple(scene.sky.id[required].tolist()))]
+        rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options(allocator))
+    assert min(n_dropped, n_kept) > 10
+
+
 @pytest.mark.filterwarnings("ignore:no target of the catalog is")
 def test_a_plan_without_time_is_valid_and_states_its_gap():
     gaps = []
