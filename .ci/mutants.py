@@ -251,7 +251,7 @@ def main():
     parser.add_argument("--number", type=int, default=180, help="how many mutants to draw")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="*", help="pattern of files, such as 'rfpsurvey/_kernels/*'")
-    parser.add_argument("--seconds", type=int, default=90, help="processor time of a mutant")
+    parser.add_argument("--seconds", type=int, default=150, help="processor time of a mutant")
     parser.add_argument("--part", default="1/1", help="run a part of the drawn mutants, such as 1/2")
     options = parser.parse_args()
     for module in IMPORTS.split():

@@ -253,6 +253,27 @@ def test_neighbors_of_violated_rules_are_dropped_unless_they_are_required():
     assert min(n_dropped, n_kept) > 10
 
 
+def first_class(scene, constraints):
+    """Return how many targets of the first class a plan has, and the bound that it states."""
+    scene.constraints = constraints
+    tile = rs.plan_tile(scene.sky, scene.instrument, CENTER, allocator=scene.options("optimal"))
+    return next(row[1:] for row in tile.summary["objectives"] if row[0] == scene.names[1])
+
+
+@pytest.mark.filterwarnings("ignore:no target of the catalog is")
+def test_the_bound_of_the_first_class_is_at_most_that_of_a_plan_without_rules(monkeypatch):
+    """The integer program with the rules finds no plan in time."""
+    monkeypatch.setattr(_spread, "_solve", lambda *_: None)
+    n_changed = 0
+    for seed in range(12):
+        scene = Scene(seed)
+        value, bound = first_class(scene, scene.rules)
+        free_value, free_bound = first_class(scene, [])
+        assert value <= bound <= free_bound, seed
+        n_changed += value < free_value
+    assert n_changed > 2
+
+
 @pytest.mark.filterwarnings("ignore:no target of the catalog is")
 def test_a_plan_without_time_is_valid_and_states_its_gap():
     gaps = []
