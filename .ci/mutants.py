@@ -66,6 +66,10 @@ TESTS = {
     **dict.fromkeys(files("_instruments", "arms count_collisions collision_methods"), COLLISION),
     "rfpsurvey/_instruments/find_collisions.py": COLLISION + " allocation/repair",
     **dict.fromkeys(
+        files("_instruments", "find_paths paths path_arms") + files("_kernels", "joint_motion path_search path_steps"),
+        "collision/joint_motion collision/paths",
+    ),
+    **dict.fromkeys(
         files("_instruments", "motion moves"),
         "collision/motion constraints/motion allocation/motion instrument/joint_motion",
     ),
