@@ -176,8 +176,6 @@ def comes_near_obstacle(bodies, limits, i, a, a_rate, p, p_rate, obstacles, j, c
         x, y = elbow_at(bodies, i, a + t * a_rate)
         c, s = math.cos(p + t * p_rate), math.sin(p + t * p_rate)
         ends = x + inner * c, y + inner * s, x + length * c, y + length * s
-        if ends[2] != ends[2]:  # the arm is absent; its distance from an outline is not NaN
-            return math.inf
         distance = obstacle_distance(limits, obstacles, i, *ends, j) - radius
         if not distance - clearance > TOLERANCE:
             return distance if distance == distance else math.inf

@@ -240,8 +240,10 @@ def outlines_squared(outline, separation, i, j, ax0, ay0, ax1, ay1, bx0, by0, bx
 def gap_to_point(outline, i, x0, y0, x1, y1, x, y):
     """Return the signed gap between a point and the outline of positioner i, whose core is given.
 
-    The gap is negative if the point is inside the outline.
+    The gap is negative if the point is inside the outline, and NaN if the arm is absent.
     """
+    if x0 != x0:
+        return math.nan
     v, start, m = outline.table, outline.start, outline.n_vertices
     gap = math.inf
     for part in range(start.size - 1):
@@ -263,7 +265,9 @@ def gap_to_point(outline, i, x0, y0, x1, y1, x, y):
 
 @kernel
 def gap_to_polygon(outline, polygons, i, x0, y0, x1, y1, k):
-    """Return the signed gap between polygon k and the outline of positioner i, whose core is given."""
+    """Return the signed gap between polygon k and the outline of positioner i, whose core is given (NaN: NaN)."""
+    if x0 != x0:
+        return math.nan
     v, start = polygons.table, outline.start
     q, q_end = polygons.start[k], polygons.start[k + 1]
     gap = math.inf

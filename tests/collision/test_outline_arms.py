@@ -210,6 +210,17 @@ def test_outlines_touch_obstacles_as_in_shapely(rng):
     assert not np.isin(rs.find_collisions(plane, free).obstacle_pairs[:, 0], np.flatnonzero(moved)).any()
 
 
+@pytest.mark.parametrize("shape", ["circle", "polygon"])
+def test_absent_arms_touch_no_obstacle(shape):
+    circle, square = [[2, 0, 0.5]] * u.mm, [[1, -1], [3, -1], [3, 1], [1, 1]] * u.mm
+    obstacles = {"obstacles": circle} if shape == "circle" else {"obstacle_polygons": [square]}
+    plane = rs.FocalPlane([[0, 0], [30, 0]] * u.mm, DESI_LIKE, **obstacles)
+    tips = [[np.nan, np.nan], [31, 3]] * u.mm
+    assert len(rs.find_collisions(plane, tips, parked_obstacles=False).obstacle_pairs) == 0
+    assert len(rs.collision.find_motion(plane, tips, parked_obstacles=False).obstacle_pairs) == 0
+    assert len(rs.find_collisions(plane, [[3, 0], [31, 3]] * u.mm).obstacle_pairs) == 1
+
+
 def test_probability_with_obstacles_is_that_of_capsules():
     capsule, outline = (replace(plane, obstacles=[[11, 6, 3], [-20, 5, 2]] * u.mm) for plane in planes(rings=2))
     options = {"precision": rs.probability.Precision(max_iterations=16, standard_error=None), "rng": 1}
