@@ -69,7 +69,7 @@ def find_paths(
         Ranges of joints that have no limits in ``focal_plane``, and speeds; by default, the ranges are unlimited.
         Without a speed, the times refer to 10 deg / s.
     step : Quantity, optional
-        Largest change of a joint angle in a step.
+        Largest change of a joint angle in a step, from 0.01 deg to 90 deg.
     margin : Quantity, optional
         Length that is added to the minimum separation while paths are planned, where the poses of the plan permit it.
     rng : int, Generator or None, optional
@@ -111,7 +111,7 @@ def find_paths(
     <Paths: 2 of 2 arms with a target arrive in 22.2 s, smallest distance 4.111 mm>
     """
     check_plane(focal_plane)
-    h = to_scalar(step, u.rad, "step", low=0)
+    h = np.deg2rad(to_scalar(step, u.deg, "step", low=0.01, high=90, closed=True))
     gap = to_scalar(margin, u.mm, "margin", low=0, closed=True)
     seed = to_seed(rng)
     if hasattr(arms, "place_arms"):

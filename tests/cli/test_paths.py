@@ -49,7 +49,7 @@ def test_the_paths_of_a_plan_of_another_program(call, real_data):
     ("words", "sentence"),
     [
         ("--instrument moons", "--instrument must be the instrument of the tile, sdss_apo, got moons"),
-        ("--step 0", "--step must be one finite value above 0 rad, got 0.0 deg"),
+        ("--step 0", "--step must be one finite value of at least 0.01 deg and below 90 deg, got 0.0 deg"),
         ("--margin -1", "--margin must be one finite value of at least 0 mm, got -1.0 mm"),
         ("--rng -1", "--rng must be a seed from 0 to 2^128 - 1, a numpy Generator or None, got -1"),
         ("--output paths.txt", "paths.txt"),

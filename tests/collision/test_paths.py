@@ -234,9 +234,9 @@ def test_paths_of_another_focal_plane_are_refused(planned):
 
 
 BAD = {
-    "step 0": ({"step": 0 * DEG}, "step must be one finite value above 0 rad"),
+    "step 0": ({"step": 0 * DEG}, "step must be one finite value of at least 0.01 deg"),
     "step NaN": ({"step": np.nan * DEG}, "step must be one finite value"),
-    "step of a length": ({"step": 1 * MM}, "step must have a unit convertible to rad"),
+    "step of a length": ({"step": 1 * MM}, "step must have a unit convertible to deg"),
     "negative margin": ({"margin": -1 * MM}, "margin must be one finite value of at least 0 mm"),
     "margin NaN": ({"margin": np.nan * MM}, "margin must be one finite value"),
     "motion": ({"motion": "fast"}, "motion must be a JointMotion, got str"),
