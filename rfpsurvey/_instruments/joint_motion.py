@@ -16,9 +16,9 @@ from rfpsurvey.errors import check_keywords
 class JointMotion(Checked, ByValue):
     """Mechanical ranges and speeds of the joints theta and phi, on which only paths of the arms depend.
 
-    Unlike the joint limits of a `~rfpsurvey.Positioner`, the ranges are not modulo 360 deg: a path from 350 deg to 10 deg turns by
-    340 deg if the range of theta is 0 to 360 deg. They do not change the patrol areas. Joint limits of a `~rfpsurvey.Positioner`,
-    or of single positioners of an instrument as built, take precedence.
+    Unlike the joint limits of a `~rfpsurvey.Positioner`, the ranges are not modulo 360 deg: a path from 350 deg to
+    10 deg turns by 340 deg if the range of theta is 0 to 360 deg. They do not change the patrol areas. Joint limits of
+    a `~rfpsurvey.Positioner`, or of single positioners of an instrument as built, take precedence.
 
     Parameters
     ----------
