@@ -21,10 +21,8 @@ from rfpsurvey._field.table import TableOfTile, status_of
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._field.verdicts import find_constraints
 from rfpsurvey._instruments.arms import place_arms
-from rfpsurvey._instruments.find_paths import find_paths
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
-from rfpsurvey._instruments.paths import Paths
 from rfpsurvey._instruments.reach import accepted_types
 from rfpsurvey._sky.columns import UNITS, Finder
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
@@ -357,8 +355,10 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
     return np.flatnonzero(has_place)
 
 
-def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object) -> Paths:
+def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object) -> object:
     """Return the paths to the poses of a tile; see `Tile.paths`."""
+    from rfpsurvey._instruments.find_paths import find_paths  # most scripts plan no paths
+
     instrument = preset_of(tile) if instrument is None else as_instrument(instrument)
     plane, table = instrument.focal_plane, tile.table
     if not np.array_equal(np.asarray(table["id"]).astype(str), plane.id.astype(str)):

@@ -63,7 +63,8 @@ class Paths:
     Raises
     ------
     InputError
-        If arms come too close to each other or to obstacles, or exceed their joint limits.
+        If arms come too close to each other or to obstacles, if arms exceed their joint limits, if broken arms move, if
+        times do not increase, or if angles of arms with a target are not finite.
 
     Examples
     --------
@@ -124,8 +125,13 @@ class Paths:
         return self.focal_plane.arrays.using(self.fiber)
 
     @cached_property
+    def _sizes(self):
+        """The sizes of all arms, and the angles from the fibers to the axes of the arms."""
+        return bodies_of(self._columns, np.arange(len(self.fiber)), self.fiber)
+
+    @property
     def _bodies(self):
-        return bodies_of(self._columns, np.arange(len(self.fiber)), self.fiber)[0]
+        return self._sizes[0]
 
     @cached_property
     def _owner(self):
@@ -135,9 +141,8 @@ class Paths:
     def _knots(self) -> joint_motion.Knots:
         """The paths in the convention of the kernels."""
         n, columns, owner = len(self.focal_plane), self._columns, self._owner
-        time, angles = to_unit(self.time, u.s, "time"), []
-        for name in ("theta", "phi"):
-            angles.append(to_radian(getattr(self, name), name))
+        time = to_unit(self.time, u.s, "time")
+        angles = to_radian(self.theta, "theta"), to_radian(self.phi, "phi")
         theta, phi = columns.from_joints(*angles, owner, self.fiber[owner])
         first, last = self.start[:-1], self.start[1:] - 1
         inner = np.diff(time)[np.diff(owner) == 0]
@@ -152,11 +157,9 @@ class Paths:
             raise InputError(
                 f"the joint angles of a path must be at most {np.rad2deg(MOST):.0f} deg, or all NaN for an absent arm "
                 f"without a target, but those of {number_of(int(bad.sum()), 'positioner')} are not; the first is the "
-                f"positioner "
-                f"{self.focal_plane.id[int(np.argmax(bad))]}"
+                f"positioner {self.focal_plane.id[int(np.argmax(bad))]}"
             )
-        _, offset = bodies_of(columns, np.arange(n), self.fiber)
-        return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + offset[owner])
+        return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + self._sizes[1][owner])
 
     def _moved_broken(self):
         """Return which positioners that cannot move have a path that moves, or that is not in the fixed pose."""

@@ -39,7 +39,7 @@ def is_free(bodies, limits, around, state, members, here, there, gaps):
 
 @kernel
 def nearest_node(nodes, n, point):
-    """Return the row of the node with the smallest largest difference of an angle."""
+    """Return the row of the node whose largest difference of an angle is smallest, and this difference."""
     best, nearest = math.inf, 0
     for k in range(n):
         far = 0.0

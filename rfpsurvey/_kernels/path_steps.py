@@ -248,9 +248,9 @@ def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, 
     """Choose a pose of each of the idle arms ``rows``: folded if possible, and as far from other arms as possible.
 
     Poses are tried in 24 directions from that of ``theta``, within the limits ``low`` and ``high``, for each angle of
-    ``bends`` by which the arm is less folded.
-    Gaps of ``wide`` or more are not distinguished. The poses, their segments and gaps are written to the last arrays;
-    the segments of these arms must be NaN before.
+    ``bends`` by which the arm is less folded. Gaps of ``wide`` or more are not distinguished, and obstacles are not
+    considered. The poses, their segments and gaps are written to the last arrays; the segments of these arms must be
+    NaN before.
     """
     last = segments.shape[1] - 1
     for i in rows:

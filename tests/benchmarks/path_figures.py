@@ -256,7 +256,26 @@ def levels(given):
                 print_sums(f"  {part:<22}", [measured(*one) for one in scenes])
 
 
-PARTS = (steps, peer, instruments, growth, levels)
+def pairs(given):
+    """Arms without a path in dense designs: how many pairs are interlocked, and the time of each examination."""
+    examine, times = planner._Planner._are_interlocked, []
+
+    def measured_examination(self, i, j):
+        found, seconds = timed(examine, self, i, j)
+        times.append((found, seconds))
+        return found
+
+    planner._Planner._are_interlocked = measured_examination
+    for ratio in (1.4, 1.8):
+        for seed in range(6):
+            plane, xy = design_scene(DESIGNS[ratio], 2, seed, 5)
+            rs.collision.find_paths(plane, rs.allocate(plane, xy, allocator="repair"), examine=True)
+    planner._Planner._are_interlocked = examine
+    interlocked, seconds = np.array(times).T
+    print(f"pairs: {int(interlocked.sum())} of {len(times)} interlocked; at most {seconds.max():.1f} s")
+
+
+PARTS = (steps, peer, instruments, growth, levels, pairs)
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
