@@ -15,7 +15,8 @@ from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.descriptions import help_of
-from rfpsurvey._common.files import WRITABLE, check_parent, check_separate
+from rfpsurvey._common.files import WRITABLE, check_parent, check_separate, has_ending
+from rfpsurvey._common.read_tables import import_parquet
 from rfpsurvey._field.plan_files import read_plan, write_plan
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._sky.region import Region
@@ -315,6 +316,8 @@ def paths(keys: PathsKeys, _: Given) -> None:
     rfpsurvey paths confSummary-26.par.gz --output paths.fits
     rfpsurvey paths plan.ecsv --instrument sdss_apo --examine
     """
+    if keys.output.path is not None and has_ending(keys.output.path, (".parquet",)):
+        import_parquet()  # an error is raised before the paths are planned
     tile, model = _scored(keys, (*WRITABLE, ".parquet"))
     made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.rng, examine=keys.examine)
     if keys.output.path is not None:

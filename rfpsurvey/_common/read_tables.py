@@ -184,11 +184,11 @@ def has_other_digits(text: str) -> bool:
 
 
 def import_parquet():
-    """Return the module that reads Parquet files."""
+    """Return the module that reads and writes Parquet files."""
     try:
         import pyarrow.parquet
     except ImportError as error:
-        text = f"reading Parquet files needs another package: {error} (pip install 'rfpsurvey[parquet]')"
+        text = f"Parquet files need another package: {error} (pip install 'rfpsurvey[parquet]')"
         raise InputError(text) from error
     return pyarrow.parquet
 

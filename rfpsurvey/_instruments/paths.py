@@ -248,7 +248,7 @@ class Paths:
         Raises
         ------
         InputError
-            If the folder does not exist, or if the file exists and ``overwrite`` is False.
+            If the folder does not exist, if the file exists and ``overwrite`` is False, or if pyarrow is not installed.
         """
         if not has_ending(to_path(path), (".parquet",)):
             _io.write_table(self.table, path, overwrite=overwrite, name="PATHS")
