@@ -13,6 +13,8 @@ from rfpsurvey._assignment.allocation import Allocation
 from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import from_allocation, from_tile, is_plan, with_changes, with_sky
 from rfpsurvey._assignment.clock import now
+from rfpsurvey._assignment.constraints.constraint import EXACTLY
+from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._assignment.constraints.requirement import check_counts
 from rfpsurvey._assignment.distribution import Motion
 from rfpsurvey._assignment.methods import DEFAULT_ALLOCATOR
@@ -23,6 +25,8 @@ from rfpsurvey._assignment.rules import check_one_each, check_values, service_or
 from rfpsurvey._common.units import to_dimensionless, to_generator, to_numbers, to_plain, to_points_mm
 from rfpsurvey._instruments.arms import check_plane
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joint_motion import JointMotion
+from rfpsurvey._instruments.motion import LAWS
 from rfpsurvey._instruments.reach import Reach, elbow_names
 from rfpsurvey._sky.arrays import has_role, to_kinds
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short, warn_no_effect
@@ -175,13 +179,15 @@ def assign(
     excluded: np.ndarray | None = None,
     excludes_sky: Callable[[np.ndarray, np.ndarray | None], np.ndarray] | None = None,
     ids: np.ndarray | None = None,
+    motion: JointMotion | None = None,
 ) -> Allocation:
     """Assign targets at positions in mm to positioners; the columns of the targets are not checked.
 
     During long searches, ``tell`` is called with the completed fraction and the stage. ``order``, which is required if
     there are subpriorities, contains the rows of the targets in the order of their precedence. ``excluded`` is whether
     each target must not be observed; ``excludes_sky`` returns this for added sky positions and their fiber types. A
-    given tile is compared by the identifiers ``ids`` of the targets, or by positions if there are none.
+    given tile is compared by the identifiers ``ids`` of the targets, or by positions if there are none. Planned paths
+    use the joint ranges and speeds of ``motion``.
     """
     begin, deadline = perf_counter(), now() + options.seconds
     n = len(xy_mm)
@@ -214,21 +220,29 @@ def assign(
     )
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
-    if options.motion_law:
+    if options.motion_law in LAWS:
         problem = replace(problem, motion=Motion(problem))
     ids = ids if ids is None or order is None else ids[order]
     given = cache(partial(from_tile, getattr(options.start, "table", None), problem, ids))
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, given))
     answer = find_allocator(options.allocator).function(problem)
+
+    def finish(answer: AllocationAnswer) -> Allocation:
+        return Allocation(
+            options.name,
+            **_finish(problem, answer, reach.covered, order),
+            parked_obstacles=options.parked_obstacles,
+            seconds={"reach": middle - begin, "allocation": perf_counter() - middle},
+            excluded=excluded,
+        )
+
+    if options.motion_law == PATHS and options.method.abilities.motion == EXACTLY:
+        from rfpsurvey._assignment.path_rounds import with_paths  # most scripts plan no paths
+
+        answer = with_paths(problem, answer, lambda answer: finish(answer).place_arms(focal_plane), motion)
     if is_plan(options.start) and options.method.improves:
         answer = with_changes(problem, answer, problem.start(with_lost=True).target_of_positioner)
-    return Allocation(
-        options.name,
-        **_finish(problem, answer, reach.covered, order),
-        parked_obstacles=options.parked_obstacles,
-        seconds={"reach": middle - begin, "allocation": perf_counter() - middle},
-        excluded=excluded,
-    )
+    return finish(answer)
 
 
 def _classes(priority, n):

@@ -107,6 +107,7 @@ class Candidates:
         o, is_idle = self.options, np.zeros(len(self), dtype=bool)
         is_idle[o.start[1:] - 1] = True
         pairs = find_conflicts(self.problem.focal_plane, o.start, self.segments, seconds, most_pairs, self.moves)
+        pairs = np.hstack([pairs, avoided_rows(self.problem, 2, o.owner, o.target, self.side)])
         # A plan may contain collisions of two idle arms, and of an idle arm with an obstacle.
         both_idle = is_idle[pairs[0]] & is_idle[pairs[1]]
         idle_pairs, pairs = o.owner[pairs[:, both_idle]], np.ascontiguousarray(pairs[:, ~both_idle])
@@ -152,9 +153,22 @@ def find_candidates(
     keep[obstacle_hits(problem.focal_plane, start, candidates.segments)[:, 0]] = False
     if problem.motion is not None:
         keep &= problem.motion.allowed(owner, target, side)
+    keep[avoided_rows(problem, 1, owner, target, side)] = False
     keep[start[1:] - 1] = True
     candidates = candidates if keep.all() else candidates.where(keep)
     return candidates.with_collisions(seconds, most_pairs) if most_pairs else candidates
+
+
+def avoided_rows(problem, size, owner, target, side):
+    """Return the candidates of each avoided combination of ``size`` assignments, shape (size, k)."""
+    some = [combination for combination in problem.avoided if len(combination) == size]
+    row_of = {}
+    for i in {i for combination in some for i, _, _ in combination}:
+        rows = slice(*np.searchsorted(owner, [i, i + 1]))  # the candidates are sorted by positioner
+        row_of |= {(i, *key): rows.start + k for k, key in enumerate(zip(target[rows], side[rows], strict=True))}
+    listed = [[row_of.get(assignment, -1) for assignment in combination] for combination in some]
+    listed = [rows for rows in listed if min(rows) >= 0]
+    return np.array(listed, dtype=np.int64).reshape(-1, size).T
 
 
 def _pairs_where(pairs, keep, new):

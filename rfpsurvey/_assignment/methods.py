@@ -80,19 +80,26 @@ def optimal(problem: AllocationProblem) -> AllocationAnswer:
 
 def repair(problem: AllocationProblem) -> AllocationAnswer:
     """Remove the collisions of the plan of another allocator, ``start``, by local moves."""
+    answer = repaired(problem, steady=is_plan(problem.options.start))
+    if problem.distributions:
+        target_of = answer.target_of_positioner
+        free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
+        answer.meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
+    return answer
+
+
+def repaired(problem: AllocationProblem, *, steady: bool) -> AllocationAnswer:
+    """Return the plan of `repair`; with ``steady``, targets are not exchanged for equally good targets."""
     start = problem.start()
     before, elbows = start.target_of_positioner, start.handedness
     all_candidates = movable_candidates(problem, before)
     side = None if elbows is None else np.where(elbows == "left", -1.0, 1.0)
     first = pick(all_candidates, trim(problem, before), side)
-    candidates, chosen = repair_nearby(all_candidates, first, steady=is_plan(problem.options.start))
+    candidates, chosen = repair_nearby(all_candidates, first, steady=steady)
     target_of, had = candidates.options.target[chosen], before >= 0
     worse = problem.rank_of(target_of) > problem.rank_of(before)  # a less important target, or none
     n_moved, n_dropped = ((had & some).sum() for some in (~worse & (target_of != before), worse))
     meta = {"n_before": int(had.sum()), "n_moved": int(n_moved), "n_dropped": int(n_dropped)}
-    if problem.distributions:
-        free = repair(replace(problem, options=problem.options.without("distributions"))).target_of_positioner
-        meta["n_lost_to_rules"] = lost_to_rules(problem, free, target_of)
     levels = _bounded(problem, target_of, None if problem.any_goals else match(all_candidates))
     return AllocationAnswer(target_of, elbow_names(candidates.side[chosen]), None, levels, meta)
 

@@ -247,7 +247,7 @@ class AllocationOptions(Settings):
 
     @cached_property
     def motion_law(self) -> str:
-        """Law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
+        """Law of time by which arms must unfold, or ``"paths"``; empty text if no constraint refers to the motion."""
         return law_of(self.all_constraints)
 
     @cached_property

@@ -83,6 +83,9 @@ class AllocationProblem(CountedTargets):
     motion : Motion, optional
         Motion of the arms, if a constraint requires that they unfold without collisions. The built-in allocators use
         it.
+    avoided : tuple, optional
+        Combinations of one or two assignments that a plan should not contain; each assignment consists of the
+        positioner, the target and the elbow (1.0 is right, -1.0 is left). The built-in allocators use them.
 
     Examples
     --------
@@ -118,6 +121,7 @@ class AllocationProblem(CountedTargets):
     subpriority: np.ndarray | None = None
     deadline: float | None = None
     motion: Motion | None = None
+    avoided: tuple = ()
 
     def __post_init__(self):
         if self.deadline is None:

@@ -128,7 +128,7 @@ class Applied:
         first = len(self.instrument.focal_plane.arrays.obstacles) - len(self.obstacle_of)
         maker = np.append(self.obstacle_of, -1)[np.maximum(obstacle - first, -1)]
         n_covering = [
-            report.motion.n_planner if "motion" in constraint.parts else len(np.unique(covering[maker == k]))
+            report.motion.n_failing if "motion" in constraint.parts else len(np.unique(covering[maker == k]))
             for k, constraint in enumerate(self.constraints)
         ]
         return field, owner, n_covering

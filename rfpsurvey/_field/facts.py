@@ -43,7 +43,7 @@ def _of_kinds(summary: dict) -> dict:
 
 def _moving(name: str):
     """Return a function that returns a number of the motion of the arms, if a constraint refers to the motion."""
-    return lambda t: None if t.report.motion is None else t.report.motion.counts[name]
+    return lambda t: None if t.report.motion is None else t.report.motion.counts.get(name)
 
 
 def _rate_of_assigned(summary: dict) -> float | str | None:
@@ -109,6 +109,7 @@ TILE_FACTS = (
         _moving("n_unfolding_obstacle_collisions"),
     ),
     Fact("n_needs_planner", "positioners to plan paths for", value=_moving("n_needs_planner"), zero=True),
+    Fact("n_without_path", "positioners without a path", value=_moving("n_without_path"), zero=True),
     Fact("collision_rate", "of assigned and parked arms", RATE, lambda t: t.report.rate, _rate_of_all, zero=True),
     Fact(RATE, "collision rate of assigned arms", "", lambda t: t.report.rate_assigned, _rate_of_assigned, zero=True),
     Fact("n_required_observed", "required targets observed", shown=required_of),

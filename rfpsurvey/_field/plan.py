@@ -12,6 +12,7 @@ import numpy as np
 from rfpsurvey._assignment.allocate import TargetColumns, assign
 from rfpsurvey._assignment.allocation import Allocation
 from rfpsurvey._assignment.constraints.field import Verdict
+from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._assignment.rules import service_order, tie_order, to_subpriorities
 from rfpsurvey._common.units import to_lonlat, values_at
@@ -20,6 +21,7 @@ from rfpsurvey._instruments.arms import Arms
 from rfpsurvey._instruments.find_collisions import collisions_of
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._instruments.joint_motion import JointMotion
 from rfpsurvey._instruments.motion import CollisionReport, find_motion
 from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._sky.observed_field import ObservedField
@@ -205,15 +207,24 @@ def _assign(reach: FieldReach, projection, targets, options, rng, tell) -> Alloc
     elif options.breaks_ties:
         others["order"] = tie_order(reach.xy, None if targets.numbered else targets.id)
     others |= {"excluded": applied.excluded, "excludes_sky": applied.excludes_sky}
-    others["ids"] = None if targets.numbered else targets.id
+    others |= {"ids": None if targets.numbered else targets.id, "motion": applied.instrument.motion}
     return assign(applied.instrument.focal_plane, reach.xy, columns, options, rng, tell=tell, **others)
 
 
-def find_all_collisions(plane: FocalPlane, arms: Arms, options: AllocationOptions) -> CollisionReport:
-    """Find the collisions of a plan and, if a constraint refers to the motion of the arms, those of the motion."""
+def find_all_collisions(
+    plane: FocalPlane, arms: Arms, options: AllocationOptions, joints: JointMotion | None
+) -> CollisionReport:
+    """Find the collisions of a plan and, if a constraint refers to the motion of the arms, those of the motion.
+
+    Planned paths use the ranges and speeds of ``joints``.
+    """
     report, law = collisions_of(plane, arms.segments.T, arms.assigned, arms.parked), options.motion_law
     if not law:
         return report
+    if law == PATHS:
+        from rfpsurvey._instruments.path_report import report_paths  # most scripts plan no paths
+
+        return replace(report, motion=report_paths(plane, arms, joints))
     return replace(report, motion=find_motion(plane, arms, law=law, parked_obstacles=options.parked_obstacles))
 
 
@@ -257,7 +268,7 @@ def plan_field(
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
-    report = find_all_collisions(instrument.focal_plane, arms, options)
+    report = find_all_collisions(instrument.focal_plane, arms, options, instrument.motion)
     seconds = {
         "projection": reach.seconds,
         **allocation.seconds,

@@ -208,7 +208,8 @@ def score_tile(
             "check instrument, calibration, field center, position angle and units"
         )
     options = AllocationOptions(parked_obstacles=parked_obstacles) if constraints is None else checked.options
-    report = find_all_collisions(plane, posed, replace(options, parked_obstacles=parked_obstacles))
+    options = replace(options, parked_obstacles=parked_obstacles)
+    report = find_all_collisions(plane, posed, options, instrument.motion)
     summary = {
         "n_targets": len(part),
         "n_rows_ignored": len(table) - n_rows,
@@ -357,7 +358,7 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
 
 def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object) -> object:
     """Return the paths to the poses of a tile; see `Tile.paths`."""
-    from rfpsurvey._instruments.find_paths import find_paths  # most scripts plan no paths
+    from rfpsurvey._instruments.path_report import paths_to  # most scripts plan no paths
 
     instrument = preset_of(tile) if instrument is None else as_instrument(instrument)
     plane, table = instrument.focal_plane, tile.table
@@ -369,4 +370,4 @@ def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object)
     types = {"fiber_type": table["fiber_type"]} if "fiber_type" in table.colnames else {}
     idle = np.where(posed, np.nan, angles)
     arms = place_arms(plane, **dict(zip(("theta", "phi"), given, strict=True)), **types, idle_angles=idle)
-    return find_paths(plane, arms, motion=instrument.motion, **options)
+    return paths_to(plane, arms, instrument.motion, refuse=True, **options)[0]

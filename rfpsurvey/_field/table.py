@@ -9,6 +9,7 @@ from astropy.table import MaskedColumn, QTable
 from astropy.utils.masked import Masked
 
 from rfpsurvey._assignment.allocation import IDLE_REASONS, IdleReasons, find_idle_reasons
+from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._common.descriptions import Column, describe, make_table, table_of, with_unit
 from rfpsurvey._common.units import to_lonlat
 from rfpsurvey._field.plan import FieldPlan
@@ -38,6 +39,7 @@ TARGET_COLUMNS = (
     Column("priority", "priority of the target; targets with larger values are more important"),
 )
 STATUS = "status of the positioner: assigned, out_of_reach, parked, recorded, idle, disabled or stuck"
+WITHOUT_PATH = "whether the positioner has a target that its arm does not reach on a planned path"
 PLANNER = "whether the arm collides if all arms unfold at the same time, or cannot turn while it is folded"
 TILE_COLUMNS = table_of(
     Column("id", "identifier of the positioner", value=lambda t: t.plane.id),
@@ -53,7 +55,8 @@ TILE_COLUMNS = table_of(
     *_coordinates("tip_", "the fiber in the focal plane", lambda t: t.posed.tip),
     Column("in_collision", "whether the arm of the positioner collides", value=lambda t: t.report.in_collision),
     Column("colliding_with", "positioners and obstacles with which the arm collides", value=lambda t: t.partners),
-    Column("needs_planner", PLANNER, value=lambda t: t.report.motion and t.report.motion.needs_planner),
+    Column("needs_planner", PLANNER, value=lambda t: getattr(t.report.motion, "needs_planner", None)),
+    Column("without_path", WITHOUT_PATH, value=lambda t: getattr(t.report.motion, "without_path", None)),
     Column("clearance", "distance to the nearest other arm minus the minimum separation", "mm", lambda t: t.clearance),
     *_coordinates("arm_", "the outer end of the arm segment that can collide", lambda t: t.posed.segments[:, 2:]),
 )
@@ -303,7 +306,8 @@ class TargetsOfField:
     def idle(self) -> tuple[QTable, QTable]:
         """Return a table of the positioners without a target, and a table of the free targets that they can reach."""
         plan = self.plan
-        law = "" if plan.report.motion is None else plan.report.motion.law
+        law = getattr(plan.report.motion, "law", "")
+        law = "" if law == PATHS else law
         reasons = find_idle_reasons(plan.instrument.focal_plane, plan.allocation, plan.arms, law)
         return idle_tables(reasons, self, plan.instrument.focal_plane.id)
 

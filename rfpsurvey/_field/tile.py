@@ -48,7 +48,7 @@ class Tile:
         ``target_id`` (masked for positioners without a target), ``ra``, ``dec`` (ICRS), ``fiber_type`` (if there are
         several), ``theta``, ``phi``, ``elbow_x``, ``elbow_y``, ``tip_x``, ``tip_y``, ``in_collision``,
         ``colliding_with`` (identifiers of the positioners and obstacles with which the arm collides, separated by
-        spaces, such as ``12 obstacle-3``), ``needs_planner`` (if a constraint refers to the motion of the arms, see
+        spaces, such as ``12 obstacle-3``), ``needs_planner`` or ``without_path`` (if a constraint refers to the motion, see
         `~rfpsurvey.constraints.Motion`), ``clearance`` (distance to the nearest other arm minus the minimum
         separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can collide). The tables
         of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners

@@ -71,6 +71,8 @@ class MotionReport:
         """Number of positioners that need a path planner."""
         return int(self.needs_planner.sum())
 
+    n_failing = n_planner
+
     @property
     def counts(self) -> dict[str, int]:
         """Numbers of colliding pairs of arms, of collisions with obstacles, and of positioners, for summaries."""
@@ -224,8 +226,8 @@ class CollisionReport:
         arithmetic decides the result for two arms if the method is ``exact`` or ``cuda``, and for an arm and an
         obstacle in all methods. The number is None if the method has no proven error limit. If no two arms can touch,
         the number is never None and includes only pairs with an obstacle.
-    motion : MotionReport, optional
-        Collisions while the arms move, if a constraint of the plan refers to the motion.
+    motion : MotionReport or PathReport, optional
+        Collisions while the arms move, or their paths, if a constraint of the plan refers to the motion.
 
     Examples
     --------
@@ -246,7 +248,7 @@ class CollisionReport:
     assigned: np.ndarray
     counted: np.ndarray
     n_borderline: int | None = None
-    motion: MotionReport | None = None
+    motion: "MotionReport | PathReport | None" = None
 
     @property
     def rate(self) -> float:

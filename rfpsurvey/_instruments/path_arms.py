@@ -18,6 +18,14 @@ BENDS = np.deg2rad([0.0, 30.0, 60.0, 90.0, 120.0, 150.0])
 """Angles by which an idle arm is less folded, if its folded arm collides in all directions."""
 
 
+class CollidingPosesError(InputError):
+    """Arms collide in the poses from which paths begin; ``rows`` are the rows of their positioners."""
+
+    def __init__(self, text: str, rows: np.ndarray):
+        super().__init__(text)
+        self.rows = rows
+
+
 class PathArms(NamedTuple):
     """The arms of a plan, with the joint angles that belong to the angles of the kernels."""
 
@@ -135,10 +143,19 @@ def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
     pairs = columns.obstacle_pairs
     o_start, o_near = _grouped(pairs, n)
     owner, clearance = np.repeat(np.arange(n), np.diff(o_start)), np.full(len(o_near), columns.clearance + margin)
+    is_near = np.zeros(len(o_near), dtype=bool)
     for k, (i, j) in enumerate(zip(owner, o_near, strict=True)):
         pose = bodies, limits, i, theta[i], 0.0, psi[i], 0.0, columns.obstacles, j
         distance = joint_motion.comes_near_obstacle(*pose, clearance[k])
         clearance[k] = max(min(clearance[k], distance - 2 * TOLERANCE), columns.clearance)
+        is_near[k] = distance <= columns.clearance + TOLERANCE
+    touching = owner[columns.usable[owner] & is_near]
+    if len(touching):
+        raise CollidingPosesError(
+            "the arms must not touch obstacles in the poses of the plan, but the arm of the positioner "
+            f"{columns.plane.id[touching[0]]} is closer to one than the clearance plus 1e-6 mm",
+            np.unique(touching),
+        )
     nothing = np.zeros(0)
     around = joint_motion.Surroundings(
         start,
@@ -168,11 +185,13 @@ def _check_start(columns, segments, idle):
     present[idle] = False
     pairs, limits, ids = columns.neighbors, columns.limits, columns.plane.id
     pairs = pairs[present[pairs].all(axis=1) & columns.usable[pairs].any(axis=1)]
-    for i, j in pairs:
-        distance = path_steps.distance_at_rest(segments, limits, i, i, j, j, limits.separation + WIDE)
-        if distance <= limits.separation + TOLERANCE:
-            raise InputError(
-                "the arms must not collide in the poses of the plan, but the arms of the positioners "
-                f"{ids[i]} and {ids[j]} collide, or are closer than the minimum separation plus 1e-6 mm; "
-                "find_collisions lists all collisions"
-            )
+    apart = [path_steps.distance_at_rest(segments, limits, i, i, j, j, limits.separation + WIDE) for i, j in pairs]
+    pairs = pairs[np.array(apart) <= limits.separation + TOLERANCE]
+    if len(pairs):
+        i, j = pairs[0]
+        raise CollidingPosesError(
+            "the arms must not collide in the poses of the plan, but the arms of the positioners "
+            f"{ids[i]} and {ids[j]} collide, or are closer than the minimum separation plus 1e-6 mm; "
+            "find_collisions lists all collisions",
+            np.unique(pairs),
+        )

@@ -53,8 +53,9 @@ MOTION = (
     Count("n_unfolding_pairs", "number of pairs of arms that collide while they unfold", card="NUNFOLD"),
     Count("n_unfolding_obstacle_collisions", "number of collisions of unfolding arms with obstacles", card="NUNFOBST"),
     Count("n_needs_planner", "number of positioners that need a path planner", card="NPLANNER"),
+    Count("n_without_path", "number of positioners with a target and without a path", card="NNOPATH"),
 )
-"""Counts of a tile if a constraint of the plan refers to the motion of the arms."""
+"""Counts of a tile if a constraint of the plan refers to the motion of the arms; the last one is for planned paths."""
 LOST_TO_RULES = Count(LOST, COST_OF_RULES, card="NLOSTRUL", comment="science targets that rules cost")
 """Count of a tile if rules refer to the distribution of fibers, and the allocator complies with them.
 
@@ -116,7 +117,7 @@ SURVEY_FACTS = (
     Fact("arm_model", "arm model", COLLISIONS, shown=lambda s: s.get("arm_model", "unknown")),
     Fact("collision_rate", "fraction of assigned and parked", COLLISIONS, zero=True),
     Fact("n_obstacle_collisions", "collisions with obstacles", COLLISIONS),
-    *(fact for fact in TILE_FACTS if fact.name in ("n_unfolding_pairs", "n_needs_planner")),
+    *(fact for fact in TILE_FACTS if fact.name in ("n_unfolding_pairs", "n_needs_planner", "n_without_path")),
     Fact("n_unmet", "unmet requirements, sum over tiles"),
     Fact("n_required_observed", "required targets observed", shown=required_of),
     Fact("outcomes", shown=lambda s: {f"targets {outcome}": n for outcome, n in s["outcomes"].items()}),

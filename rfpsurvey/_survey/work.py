@@ -14,6 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import COPIED, Column, table_of, text_of
 from rfpsurvey._common.executors import IN_FLIGHT, in_order
@@ -203,8 +204,9 @@ def plan_digest(tile: int | str, positioner: np.ndarray, target_id: np.ndarray) 
 
 def cards_of(options: AllocationOptions) -> dict[str, tuple[str | CountOfRule, str]]:
     """Return the header cards of the counts of a tile, with the name of the count and the comment of each card."""
-    counts = (*COUNTS, *(MOTION if options.motion_law else ()), *([LOST_TO_RULES] if options.distributions else ()))
-    counts += (ALSO_SCIENCE,) if options.counts else ()
+    counts = [*COUNTS, *(MOTION[-1:] if options.motion_law == PATHS else MOTION[:-1] if options.motion_law else ())]
+    counts += [LOST_TO_RULES] if options.distributions else []
+    counts += [ALSO_SCIENCE] if options.counts else []
     cards = {count.card: (count.name, count.comment or count.text.removeprefix("number of ")) for count in counts}
     return cards | shortfall_cards(options)
 

@@ -30,7 +30,7 @@ class Abilities:
     precedence: str = ONLY_CHECKED  # some targets take precedence over all other targets
     counts: str = ONLY_CHECKED  # numbers of targets are met
     distribution: str = ONLY_CHECKED  # science fibers have enough neighbors
-    motion: str = ONLY_CHECKED  # arms unfold without collisions
+    motion: str = ONLY_CHECKED  # arms reach their targets without collisions
 
 
 class Constraint:
@@ -64,7 +64,7 @@ class Constraint:
     distributions: tuple = ()
     """The rules (`Distribution`) on the neighbors of fibers that the constraint consists of."""
     motion_law: str = ""
-    """Law of time by which arms must unfold without collisions; empty text if the constraint does not require it."""
+    """Law of time by which arms must unfold without collisions, or ``"paths"`` if their paths are planned."""
     uses_targets: ClassVar[bool] = True
     """Whether methods use positions of targets on the focal plane or around the field, which are otherwise omitted."""
     before_fibers: ClassVar[bool] = False

@@ -1,4 +1,4 @@
-"""The constraint that arms reach their targets by a simple motion, which needs no path planner."""
+"""The constraint that arms reach their targets without collisions, by a simple motion or on planned paths."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -12,38 +12,42 @@ from rfpsurvey._instruments.motion import LAWS
 from rfpsurvey._instruments.moves import Folded
 from rfpsurvey.errors import InputError, check_keywords, listed, number_of, warn
 
-MOTIONS = ("fold",)
+PATHS = "paths"
+MOTIONS = ("fold", PATHS)
 MOST_LISTED = 5
 
 
 def law_of(constraints: Iterable[Constraint]) -> str:
-    """Return the law of time by which arms must unfold without collisions; empty text if no constraint requires it."""
+    """Return the law of time by which arms must unfold, or ``"paths"``; empty text if no constraint requires it."""
     laws = list(dict.fromkeys(constraint.motion_law for constraint in constraints if constraint.motion_law))
     if len(laws) > 1:
-        raise InputError(f"all constraints on the motion must have the same law of time, got {listed(laws)}")
+        raise InputError(f"all constraints on the motion must have the same kind and law of time, got {listed(laws)}")
     return laws[0] if laws else ""
 
 
 @check_keywords
 @dataclass(frozen=True)
 class Motion(Checked, Constraint):
-    """Arms reach their targets by a simple motion without collisions: all arms fold, turn and unfold.
+    """Arms reach their targets without collisions, by a simple motion or on planned paths.
 
-    The text form is ``motion fold`` or ``motion fold same_speed``. `~rfpsurvey.collision.find_motion` describes the
-    motion. ``optimal`` and ``repair``, and joint plans of surveys, assign targets such that no arms collide while they
-    unfold; the proofs of ``optimal`` refer to such plans. With other allocators, plans are only checked.
+    The text form is ``motion fold``, ``motion fold same_speed`` or ``motion paths``. With ``fold``, all arms fold, turn
+    and unfold (`~rfpsurvey.collision.find_motion`): ``optimal`` and ``repair``, and joint plans of surveys, assign
+    targets such that no arms collide while they unfold; the proofs of ``optimal`` refer to such plans. With ``paths``,
+    the same allocators plan the paths of all arms (`~rfpsurvey.collision.find_paths`). Where no path is found, they
+    change the assignment of the arms nearby, in up to 10 rounds; arms that still have no path lose their targets. The
+    bounds of ``optimal`` then refer to plans without the constraint. With other allocators, plans are only checked.
 
     Parameters
     ----------
-    motion : {"fold"}
+    motion : {"fold", "paths"}
         Kind of the motion.
     law : {"same_duration", "same_speed"}, optional
-        Law of time by which the arms unfold.
+        Law of time by which the arms unfold; only with ``fold``.
 
     Raises
     ------
     InputError
-        If the kind of the motion or the law is unknown.
+        If the kind of the motion or the law is unknown, or if a law is given with ``paths``.
 
     Examples
     --------
@@ -58,10 +62,17 @@ class Motion(Checked, Constraint):
     name = "motion"
     uses_targets = False
 
+    def _check(self):
+        if self.motion == PATHS and self.law != LAWS[0]:
+            raise InputError(f"a law of time can be given only with the motion fold, got {self.law!r} with {PATHS}")
+
+    def __str__(self):
+        return f"{self.name} {PATHS}" if self.motion == PATHS else super().__str__()
+
     @property
     def motion_law(self) -> str:
-        """Law of time by which arms unfold."""
-        return self.law
+        """Law of time by which arms unfold, or ``"paths"``."""
+        return PATHS if self.motion == PATHS else self.law
 
     def for_instrument(self, instrument: object) -> "Motion":
         """Return the constraint; issue a warning if folded arms of the instrument can touch each other.
@@ -76,7 +87,7 @@ class Motion(Checked, Constraint):
         Motion
             The constraint.
         """
-        if instrument is not None:
+        if instrument is not None and self.motion != PATHS:
             plane = instrument.focal_plane
             pairs = Folded(plane.arrays).touching
             if len(pairs):
@@ -88,7 +99,7 @@ class Motion(Checked, Constraint):
         return self
 
     def check(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> list[str]:
-        """Return a sentence if positioners of a finished plan need a path planner.
+        """Return a sentence if positioners of a finished plan need a path planner, or have no planned path.
 
         Parameters
         ----------
@@ -97,18 +108,21 @@ class Motion(Checked, Constraint):
         has_fiber : ndarray of bool
             Whether each target of the field has a fiber.
         n_covering : int
-            Number of positioners that need a path planner.
+            Number of these positioners.
 
         Returns
         -------
         list of str
-            The sentence; an empty list if no positioner needs a path planner.
+            The sentence; an empty list if there are no such positioners.
         """
-        who = number_of(n_covering, "positioner needs", "positioners need")
-        return [f"{self}: {who} a path planner"] if n_covering else []
+        if self.motion == PATHS:
+            text = f"{number_of(n_covering, 'positioner has', 'positioners have')} no planned path"
+        else:
+            text = f"{number_of(n_covering, 'positioner needs', 'positioners need')} a path planner"
+        return [f"{self}: {text}"] if n_covering else []
 
     def verdict(self, field: ConstraintField, has_fiber: np.ndarray, n_covering: int) -> Verdict:
-        """Return the verdict on a finished plan: the number of positioners that need a path planner.
+        """Return the verdict on a finished plan: the number of positioners whose arms do not move in this way.
 
         Parameters
         ----------
@@ -117,11 +131,12 @@ class Motion(Checked, Constraint):
         has_fiber : ndarray of bool
             Whether each target of the field has a fiber.
         n_covering : int
-            Number of positioners that need a path planner.
+            Number of these positioners.
 
         Returns
         -------
         Verdict
             The verdict.
         """
-        return Verdict(str(self), n_covering, "no positioner that needs a path planner", FAIL if n_covering else PASS)
+        limit = "no positioner without a planned path" if self.motion == PATHS else "no positioner that needs a path planner"
+        return Verdict(str(self), n_covering, limit, FAIL if n_covering else PASS)
