@@ -31,6 +31,9 @@ def with_paths(
     best of these plans, arms without a path lose their targets.
     """
     first, avoided, best, n_rounds, n_best = answer, [], None, 0, 0
+    if getattr(problem.options.allocator, "keeps_targets", False):
+        used = np.isin(np.arange(len(problem.xy)), answer.target_of_positioner)
+        problem = replace(problem, pairs=problem.only(used))
     while True:
         report = report_paths(problem.focal_plane, place(answer), motion)
         if not n_rounds and not report.n_failing:

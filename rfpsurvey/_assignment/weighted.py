@@ -184,6 +184,8 @@ class GivenPlan:
     blank_mm : ndarray of float, shape (n_positioners, 2), optional
         Position of the blank sky that each positioner observes, in mm; NaN for positioners that observe none. The
         position must be one of the added sky positions.
+    avoids_collisions : bool, optional
+        Whether the plan may change where arms have no path, if a constraint requires paths.
 
     Raises
     ------
@@ -192,9 +194,18 @@ class GivenPlan:
     """
 
     counts = distribution = "exactly"
+    keeps_targets = True  # other targets belong to other tiles
 
-    def __init__(self, target_of: np.ndarray, side: np.ndarray, blank_mm: np.ndarray | None = None):
+    def __init__(
+        self,
+        target_of: np.ndarray,
+        side: np.ndarray,
+        blank_mm: np.ndarray | None = None,
+        *,
+        avoids_collisions: bool = False,
+    ):
         self.target_of, self.side, self.blank_mm = target_of, side, blank_mm
+        self.avoids_collisions = avoids_collisions
 
     def __call__(self, problem: AllocationProblem) -> AllocationAnswer:
         """Return the given plan as the answer of an allocator."""

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -12,6 +13,9 @@ from rfpsurvey._instruments.arms import Arms, check_arms, check_plane, place_arm
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._kernels.motion import Moves
 from rfpsurvey.errors import check_choice, check_keywords, check_switch, number_of
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.path_report import PathReport
 
 SAME_FOLD = 1e-6
 """Largest difference (rad) of equal angles of folded arms."""

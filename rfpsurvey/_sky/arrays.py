@@ -99,7 +99,8 @@ def count_roles(kind: np.ndarray) -> str:
 
 RESERVED = {"tile", "id", "positioner", "spectrograph", "x", "y", "status", "target_id", "target_row", "ra", "dec"}
 RESERVED |= {"kind", "category", "priority", "fiber_type", "theta", "phi", "elbow_x", "elbow_y", "tip_x", "tip_y"}
-RESERVED |= {"in_collision", "colliding_with", "needs_planner", "without_path", "clearance", "arm_x", "arm_y", "outcome", "observed"}
+RESERVED |= {"in_collision", "colliding_with", "needs_planner", "without_path", "clearance", "arm_x", "arm_y"}
+RESERVED |= {"outcome", "observed"}
 """Names of the columns of results, which ``_field/table.py`` (`TILE_COLUMNS`, `OUTCOMES_COLUMNS`) and
 ``_survey/work.py`` (`VISITS_COLUMNS`) describe; a test compares them."""
 MOST_EXACT = 2**53

@@ -37,9 +37,10 @@ class Survey(Living):
         collision), ``n_obstacle_collisions`` (collisions with obstacles), ``n_unfolding_pairs``,
         ``n_unfolding_obstacle_collisions`` and ``n_needs_planner`` (if a constraint refers to the motion of the arms,
         see `~rfpsurvey.constraints.Motion`: pairs of arms and obstacles that collide while arms unfold, and positioners
-        that need a path planner) or ``n_without_path`` (positioners without a planned path), ``n_lost_to_rules`` (science targets that rules on the distribution of fibers cost,
-        not for joint plans), ``n_also_science`` (science targets that also meet requirements on standard stars or sky
-        positions, if there are any), ``n_unmet`` (requirements that are not met; all required targets of a tile count
+        that need a path planner) or ``n_without_path`` (positioners without a planned path), ``n_lost_to_rules``
+        (science targets that rules on the distribution of fibers cost, not for joint plans), ``n_also_science``
+        (science targets that also meet requirements on standard stars or sky positions, if there are any), ``n_unmet``
+        (requirements that are not met; all required targets of a tile count
         as one, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
         requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
         those for which this tile lacks data), ``n_observed`` (successful visits to science targets),

@@ -222,3 +222,11 @@ class Replay:
                 gaps = [shapely.distance(part, shape).min() - radius - size for part, size, _ in parts]
                 least = min(least, *gaps)
         return least
+
+
+def dense_plane(seed, rings=2):
+    """Return positioners whose arms reach 1.4 times their distance, and targets (mm) with priorities from 1 to 3."""
+    unit, rng = rs.Positioner(11 * MM, 17 * MM, 2 * MM), np.random.default_rng(seed)
+    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=20 * MM)
+    xy = _in_circle(rng, 2 * len(plane), 20 * rings + 25)
+    return plane, xy * MM, rng.integers(1, 4, len(xy))

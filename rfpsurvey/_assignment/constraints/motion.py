@@ -138,5 +138,5 @@ class Motion(Checked, Constraint):
         Verdict
             The verdict.
         """
-        limit = "no positioner without a planned path" if self.motion == PATHS else "no positioner that needs a path planner"
-        return Verdict(str(self), n_covering, limit, FAIL if n_covering else PASS)
+        what = "without a planned path" if self.motion == PATHS else "that needs a path planner"
+        return Verdict(str(self), n_covering, f"no positioner {what}", FAIL if n_covering else PASS)

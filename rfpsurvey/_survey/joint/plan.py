@@ -164,13 +164,14 @@ def plans_of(network: Network, chosen: np.ndarray) -> list[TilePlan]:
     return [TilePlan(slot[a:b], side[a:b]) for a, b in zip(network.first[:-1], network.first[1:], strict=True)]
 
 
-def given_plan(request, job: Job, plan: TilePlan) -> Job:
-    """Return a copy of the job whose allocator returns the given plan."""
+def given_plan(request, job: Job, plan: TilePlan, *, is_new: bool = False) -> Job:
+    """Return a copy of the job whose allocator returns the given plan; new plans may change where arms have no path."""
     slot, is_other = without_roles(request.builder, plan.slot)
     if is_other.any():
         field = request.builder.in_other_roles(job.field, np.isin(job.field.slot, slot[is_other]))
         job = job._replace(field=field)
-    return _with_allocator(request, job, GivenPlan(_rows(job.field.slot, slot), plan.side, plan.blank_mm))
+    given = GivenPlan(_rows(job.field.slot, slot), plan.side, plan.blank_mm, avoids_collisions=is_new)
+    return _with_allocator(request, job, given)
 
 
 def _with_allocator(request, job: Job, allocator: Callable) -> Job:
@@ -225,7 +226,7 @@ class PlannedRequest(Request):
         if tile in self.fixed:  # the targets of this tile may have no remaining visits
             job = super().job(tile, self.builder.left)
             return given_plan(self, job, self.fixed[tile])
-        return given_plan(self, super().job(tile, left), self.plans[tile])
+        return given_plan(self, super().job(tile, left), self.plans[tile], is_new=True)
 
 
 def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request, QTable, object]:
