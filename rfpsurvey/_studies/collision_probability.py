@@ -20,7 +20,7 @@ from rfpsurvey._instruments.instrument import Instrument, as_focal_plane, as_ins
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._studies.methods import ESTIMANDS, METHODS, automatic, check_usable, find_method
 from rfpsurvey._studies.quadrature import DENSITIES
-from rfpsurvey._studies.question import Estimate, ProbabilityQuestion, with_dynamic
+from rfpsurvey._studies.question import Estimate, ProbabilityQuestion, with_dynamic, with_measured_paths
 from rfpsurvey._studies.simulate import QUEUEING
 from rfpsurvey._studies.targets import MOST_ITERATIONS, Precision, RandomTargets, make_source
 from rfpsurvey.errors import (
@@ -51,7 +51,7 @@ def collision_probability(
     density: str | Callable | Allocation | list[Allocation] | None = None,
     variant: str = "corrected",
     precision: float | Precision | None = None,
-    dynamic: float = 0.0,
+    dynamic: float | str = 0.0,
     rng: int | np.random.Generator | None = 0,
     executor: Executor | None = None,
     progress: bool | Callable = False,
@@ -109,9 +109,11 @@ def collision_probability(
     precision : float or Precision, optional
         Standard error to reach, or a `~rfpsurvey.probability.Precision`, which states when iterations end and how the
         confidence interval is computed. The default is a standard error of 0.001.
-    dynamic : float, optional
+    dynamic : float or "paths", optional
         Probability that a positioner does not reach its target, for example because of a dynamic collision. Such
-        failures of different positioners are assumed to be independent. For LAMOST, this probability is 0.025.
+        failures of different positioners are assumed to be independent. For LAMOST, this probability is 0.025. With
+        ``"paths"``, it is the fraction of the arms for which `~rfpsurvey.collision.find_paths` finds no path, among
+        arms that do not collide at their targets, in four realizations of allocated targets.
     rng : int, Generator or None, optional
         Seed or random number generator. Results do not depend on the number of workers.
     executor : concurrent.futures.Executor, optional
@@ -177,7 +179,10 @@ def collision_probability(
         )
     estimand = (estimand or "allocated") if chosen is None else chosen.estimand
     _check_density(density)
-    dynamic = float(number_within(dynamic, "dynamic", Option(low=0, below=1)))
+    if dynamic != "paths":
+        dynamic = float(number_within(dynamic, "dynamic", Option(low=0, below=1)))
+    elif estimand != "allocated":
+        raise InputError(f"dynamic='paths' requires the estimand 'allocated', got {estimand!r}")
     if most_entries is not None:
         check_whole(most_entries, "most_entries")
     if executor is not None and not isinstance(executor, Executor):
@@ -227,6 +232,8 @@ def collision_probability(
     estimate = Estimate(
         **result, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
     )
+    if dynamic == "paths":
+        return with_measured_paths(estimate, question, None if instrument is None else instrument.motion)
     return with_dynamic(estimate, dynamic)
 
 

@@ -11,6 +11,7 @@ from rfpsurvey._assignment.allocation import Allocation
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.joint_motion import JointMotion
 from rfpsurvey._studies.simulate import QUEUEING, Simulation
 from rfpsurvey._studies.targets import Precision, Source
 
@@ -184,3 +185,20 @@ def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
     changed = {name: either(getattr(estimate, name)) for name in names}
     error = (1 - rate) * estimate.standard_error
     return replace(estimate, **changed, standard_error=error, meta={**estimate.meta, "dynamic": rate})
+
+
+N_PATHS = 4
+"""Number of realizations in which the paths of the arms are planned."""
+
+
+def with_measured_paths(estimate: Estimate, question: ProbabilityQuestion, motion: JointMotion | None) -> Estimate:
+    """Return an estimate that includes the measured fraction of arms for which no path is found."""
+    from rfpsurvey._instruments.path_report import paths_to  # most scripts plan no paths
+
+    n = n_late = 0
+    for rng in question.rng.spawn(N_PATHS):
+        arms = question.realize(rng).place_arms(question.focal_plane)
+        paths, _ = paths_to(question.focal_plane, arms, motion)  # without arms that collide at their targets
+        n, n_late = n + paths.assigned.sum(), n_late + (paths.assigned & ~paths.arrives).sum()
+    estimate = with_dynamic(estimate, float(n_late / max(n, 1)))
+    return replace(estimate, meta={**estimate.meta, "dynamic": float(n_late / max(n, 1)), "n_paths": int(n)})

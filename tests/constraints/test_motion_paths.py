@@ -7,11 +7,12 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
-from path_scenes import dense_plane
+from path_scenes import SMALL, dense_plane
 from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey._assignment import path_rounds
+from rfpsurvey._instruments.path_report import paths_to
 from rfpsurvey.constraints import Motion, as_constraints
 
 CENTER = SkyCoord("06h20m +23d")
@@ -159,3 +160,41 @@ def test_dense_planes_keep_only_targets_with_paths(allocator, seed):
     for level, values in zip(plan.levels, np.unique(-priority), strict=True):
         used = plan.target_of_positioner[plan.target_of_positioner >= 0]
         assert level.value == (priority[used] == -values).sum()
+
+
+def random_scene(seed):
+    """Return a small plane of one of many kinds, with targets, priorities, kinds of targets, and options."""
+    rng, names = np.random.default_rng(seed), [*SMALL]
+    plane = SMALL[names[seed % len(names)]]()
+    xy = plane.xy.to_value(u.mm)
+    radius = plane.arrays.outer_radius.max() + np.hypot(*(xy - xy.mean(axis=0)).T).max()
+    n = int(rng.choice([1, 2, 4]) * len(plane))
+    points = xy.mean(axis=0) + rng.uniform(-radius, radius, (n, 2))
+    kind = rng.choice(["science", "science", "sky"], n)
+    fibers = {}
+    if plane.fiber_types != ("",):
+        fibers["fiber_type"] = rng.choice([*plane.fiber_types, ""], n)
+    return plane, points * u.mm, {"priority": rng.integers(1, 4, n), "kind": kind, **fibers}
+
+
+@pytest.mark.few(26)
+@pytest.mark.parametrize("seed", range(300))
+def test_plans_of_random_scenes_have_paths_and_meet_requirements(seed):
+    plane, xy, columns = random_scene(seed)
+    allocator = ("optimal", "repair")[seed % 2]
+    plain, chosen = (
+        rs.AllocationOptions(allocator, constraints=given, requirements=["sky=3"], time_limit=5 * u.s)
+        for given in (None, "motion paths")
+    )
+    plain, plan = (rs.allocate(plane, xy, allocator=given, **columns) for given in (plain, chosen))
+    arms = plan.place_arms(plane)
+    report = rs.find_collisions(plane, arms)
+    assigned = plan.target_of_positioner >= 0
+    assert not (report.in_collision & assigned & plane.arrays.usable).any()
+    paths, left_out = paths_to(plane, arms, None)
+    assert not (left_out & assigned).any()
+    assert (paths.arrives | ~assigned | ~plane.arrays.usable).all()
+    if not plan.meta.get("n_lost_to_paths"):
+        assert len(plan.unmet) <= len(plain.unmet)
+    if "n_path_rounds" not in plan.meta:
+        assert (plan.target_of_positioner == plain.target_of_positioner).all()
