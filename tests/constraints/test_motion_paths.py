@@ -12,6 +12,7 @@ from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey._assignment import path_rounds
+from rfpsurvey._instruments import path_report
 from rfpsurvey._instruments.path_report import paths_to
 from rfpsurvey.constraints import Motion, as_constraints
 
@@ -104,8 +105,7 @@ class Pretended:
         self.barred = barred
 
     def __call__(self, plane, arms, motion):
-        tips, n = np.round(arms.tip, 9), len(plane)
-        groups = []
+        tips, groups = np.round(arms.tip, 9), []
         for pair in self.barred:
             if all(arms.assigned[i] and tuple(tips[i]) == xy for i, xy in pair):
                 groups.append(([str(plane.id[i]) for i, _ in pair], "no path was found"))
@@ -198,3 +198,26 @@ def test_plans_of_random_scenes_have_paths_and_meet_requirements(seed):
         assert len(plan.unmet) <= len(plain.unmet)
     if "n_path_rounds" not in plan.meta:
         assert (plan.target_of_positioner == plain.target_of_positioner).all()
+
+
+def test_the_measured_fraction_of_arms_without_a_path_is_included(monkeypatch):
+    plane, seen = dense_plane(0)[0], []
+
+    def paths_to(plane, arms, motion):
+        late = np.flatnonzero(arms.assigned)[:1]
+        seen.append(arms.assigned.sum())
+        return SimpleNamespace(assigned=arms.assigned, arrives=~np.isin(np.arange(len(plane)), late)), None
+
+    monkeypatch.setattr(path_report, "paths_to", paths_to)
+    options = {"method": "monte_carlo", "rng": 3, "targets": rs.probability.RandomTargets(number=12)}
+    found = rs.collision_probability(plane, dynamic="paths", **options)
+    rate = len(seen) / sum(seen)
+    assert (len(seen), found.meta["n_paths"], found.meta["dynamic"]) == (4, sum(seen), rate)
+    assert found.value == rs.collision_probability(plane, dynamic=rate, **options).value
+    refused(
+        "dynamic='paths' requires the estimand 'allocated'",
+        rs.collision_probability,
+        plane,
+        method="quadrature",
+        dynamic="paths",
+    )
