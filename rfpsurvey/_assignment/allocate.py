@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -30,6 +30,9 @@ from rfpsurvey._instruments.motion import LAWS
 from rfpsurvey._instruments.reach import Reach, elbow_names
 from rfpsurvey._sky.arrays import has_role, to_kinds
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short, warn_no_effect
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.path_report import PathReport
 
 NO_POINTS = np.empty((0, 2))
 
@@ -227,22 +230,24 @@ def assign(
     problem = replace(problem, start=partial(_make_start, problem, n, reach.covered, order, given))
     answer = find_allocator(options.allocator).function(problem)
 
-    def finish(answer: AllocationAnswer) -> Allocation:
+    def finish(answer: AllocationAnswer, paths: "PathReport | None" = None) -> Allocation:
         return Allocation(
             options.name,
             **_finish(problem, answer, reach.covered, order),
             parked_obstacles=options.parked_obstacles,
             seconds={"reach": middle - begin, "allocation": perf_counter() - middle},
             excluded=excluded,
+            paths=paths,
         )
 
+    paths = None
     if options.motion_law == PATHS and options.method.abilities.motion == EXACTLY:
         from rfpsurvey._assignment.path_rounds import with_paths  # most scripts plan no paths
 
-        answer = with_paths(problem, answer, lambda answer: finish(answer).place_arms(focal_plane), motion)
+        answer, paths = with_paths(problem, answer, lambda answer: finish(answer).place_arms(focal_plane), motion)
     if is_plan(options.start) and options.method.improves:
         answer = with_changes(problem, answer, problem.start(with_lost=True).target_of_positioner)
-    return finish(answer)
+    return finish(answer, paths)
 
 
 def _classes(priority, n):

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, field
 from enum import IntEnum
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -22,6 +22,9 @@ from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.motion import plan_moves
 from rfpsurvey._instruments.moves import joined
 from rfpsurvey.errors import InputError, number_of
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.path_report import PathReport
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,6 +75,8 @@ class Allocation:
         The verdict on each requirement, in the tile or in each spectrograph.
     added : ndarray of int, shape (n_targets - n_given,)
         For each observed sky position in a gap, its number among all positions that were found.
+    paths : PathReport or None
+        The paths of the arms, if a constraint required them.
 
     Examples
     --------
@@ -103,6 +108,7 @@ class Allocation:
     excluded: np.ndarray | None = None
     counts: tuple[Verdict, ...] = ()
     added: np.ndarray = field(default_factory=lambda: np.empty(0, dtype=np.int64))
+    paths: "PathReport | None" = None
 
     @property
     def tips(self) -> u.Quantity:

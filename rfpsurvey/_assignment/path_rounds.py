@@ -11,7 +11,7 @@ from rfpsurvey._assignment.objectives import conditional_bounds, matching_limits
 from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._instruments.arms import Arms
 from rfpsurvey._instruments.joint_motion import JointMotion
-from rfpsurvey._instruments.path_report import report_paths
+from rfpsurvey._instruments.path_report import PathReport, report_paths
 from rfpsurvey._instruments.reach import elbow_names
 
 ROUNDS, PATIENCE = 10, 3
@@ -23,8 +23,10 @@ def with_paths(
     answer: AllocationAnswer,
     place: Callable[[AllocationAnswer], Arms],
     motion: JointMotion | None,
-) -> AllocationAnswer:
-    """Return an answer in which all arms with targets have planned paths; ``place`` returns the arms of an answer.
+) -> tuple[AllocationAnswer, PathReport]:
+    """Return an answer in which all arms with targets have planned paths, and these paths.
+
+    ``place`` returns the arms of an answer.
 
     Where no path is found, the combination of the targets of the two arms is avoided in the next rounds, which change
     the plan by local moves. This is a heuristic: the bounds of the objectives are those of plans without paths. In the
@@ -37,7 +39,7 @@ def with_paths(
     while True:
         report = report_paths(problem.focal_plane, place(answer), motion)
         if not n_rounds and not report.n_failing:
-            return answer
+            return answer, report
         kept = np.where(report.without_path, -1, answer.target_of_positioner)
         if best is None or tuple(problem.level_values(kept)) > tuple(problem.level_values(best[0])):
             best, n_best = (kept, answer, report), n_rounds
@@ -59,7 +61,7 @@ def with_paths(
     target_of = answer.target_of_positioner
     n_lost = int((first.target_of_positioner >= 0).sum() - (target_of >= 0).sum())
     meta = {**(first.meta or {}), "n_path_rounds": n_rounds, "n_lost_to_paths": n_lost}
-    return answer._replace(levels=_levels(problem, first.levels, target_of), meta=meta, queues=None)
+    return answer._replace(levels=_levels(problem, first.levels, target_of), meta=meta, queues=None), report
 
 
 def _groups(problem, report, target_of):

@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from time import perf_counter
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -27,6 +27,9 @@ from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.projection import FieldProjection
 from rfpsurvey.errors import InputError
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.path_report import PathReport
 
 PREFIX = "blank-sky-"
 # DIGITS is the largest number of digits after the prefix of identifiers that are text. ROOM is the number of integers
@@ -212,11 +215,15 @@ def _assign(reach: FieldReach, projection, targets, options, rng, tell) -> Alloc
 
 
 def find_all_collisions(
-    plane: FocalPlane, arms: Arms, options: AllocationOptions, joints: JointMotion | None
+    plane: FocalPlane,
+    arms: Arms,
+    options: AllocationOptions,
+    joints: JointMotion | None,
+    paths: "PathReport | None" = None,
 ) -> CollisionReport:
     """Find the collisions of a plan and, if a constraint refers to the motion of the arms, those of the motion.
 
-    Planned paths use the ranges and speeds of ``joints``.
+    Planned paths use the ranges and speeds of ``joints``; ``paths`` are those that are already known.
     """
     report, law = collisions_of(plane, arms.segments.T, arms.assigned, arms.parked), options.motion_law
     if not law:
@@ -224,7 +231,7 @@ def find_all_collisions(
     if law == PATHS:
         from rfpsurvey._instruments.path_report import report_paths  # most scripts plan no paths
 
-        return replace(report, motion=report_paths(plane, arms, joints))
+        return replace(report, motion=paths or report_paths(plane, arms, joints))
     return replace(report, motion=find_motion(plane, arms, law=law, parked_obstacles=options.parked_obstacles))
 
 
@@ -268,7 +275,7 @@ def plan_field(
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
     middle = perf_counter()
-    report = find_all_collisions(instrument.focal_plane, arms, options, instrument.motion)
+    report = find_all_collisions(instrument.focal_plane, arms, options, instrument.motion, allocation.paths)
     seconds = {
         "projection": reach.seconds,
         **allocation.seconds,
