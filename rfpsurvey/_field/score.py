@@ -358,11 +358,8 @@ def _placed(has_place: np.ndarray, rows: np.ndarray, positioners, n: int, *, ski
 
 def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object) -> object:
     """Return the paths to the poses of a tile; see `Tile.paths`."""
-    from rfpsurvey._instruments.path_report import PathReport, paths_to  # most scripts plan no paths
+    from rfpsurvey._instruments.path_report import paths_to  # most scripts plan no paths
 
-    known = tile.report.motion
-    if isinstance(known, PathReport) and not known.n_failing and instrument is None and not options:
-        return known.paths
     instrument = preset_of(tile) if instrument is None else as_instrument(instrument)
     plane, table = instrument.focal_plane, tile.table
     if not np.array_equal(np.asarray(table["id"]).astype(str), plane.id.astype(str)):
