@@ -12,9 +12,10 @@ from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey._assignment import path_rounds
+from rfpsurvey._assignment.allocate import TargetColumns, assign
 from rfpsurvey._instruments import path_report
 from rfpsurvey._instruments.path_report import paths_to
-from rfpsurvey.constraints import Motion, as_constraints
+from rfpsurvey.constraints import Distribution, Motion, as_constraints
 
 CENTER = SkyCoord("06h20m +23d")
 
@@ -171,7 +172,7 @@ def random_scene(seed):
     n = int(rng.choice([1, 2, 4]) * len(plane))
     points = xy.mean(axis=0) + rng.uniform(-radius, radius, (n, 2))
     kind = rng.choice(["science", "science", "sky"], n)
-    fibers = {}
+    fibers = {"fiber_type": None}
     if plane.fiber_types != ("",):
         fibers["fiber_type"] = rng.choice([*plane.fiber_types, ""], n)
     return plane, points * u.mm, {"priority": rng.integers(1, 4, n), "kind": kind, **fibers}
@@ -182,11 +183,14 @@ def random_scene(seed):
 def test_plans_of_random_scenes_have_paths_and_meet_requirements(seed):
     plane, xy, columns = random_scene(seed)
     allocator = ("optimal", "repair")[seed % 2]
+    rules = [Distribution("sky", 1, 50, 2 * plane.arrays.outer_radius.max())] if seed % 3 == 0 else []
     plain, chosen = (
-        rs.AllocationOptions(allocator, constraints=given, requirements=["sky=3"], time_limit=5 * u.s)
-        for given in (None, "motion paths")
+        rs.AllocationOptions(allocator, constraints=[*rules, *given], requirements=["sky=3"], time_limit=5 * u.s)
+        for given in ([], ["motion paths"])
     )
-    plain, plan = (rs.allocate(plane, xy, allocator=given, **columns) for given in (plain, chosen))
+    columns = TargetColumns(**columns)
+    given = plane, xy.to_value(u.mm), columns
+    plain, plan = (assign(*given, chosen, np.random.default_rng(0)) for chosen in (plain, chosen))
     arms = plan.place_arms(plane)
     report = rs.find_collisions(plane, arms)
     assigned = plan.target_of_positioner >= 0
