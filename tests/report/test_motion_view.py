@@ -267,6 +267,25 @@ def test_positioners_are_found_at_their_present_poses(page):
     page.evaluate(f"{VIEW}.stage.fit()")
 
 
+def test_dots_are_at_the_fibers_if_arms_are_too_small(page):
+    text = """() => { const v = document.querySelector('.view').view, { motion, stage } = v;
+      v.show(0.6 * motion.data.duration);
+      stage.scale = 0.25;
+      stage.paint();
+      const { width, height } = stage.canvas, ratio = width / stage.width;
+      const pixels = stage.canvas.getContext("2d").getImageData(0, 0, width, height).data;
+      const found = v.id.map((_, k) => k).filter((k) => v.plan.target_id[k]).map((k) => {
+        const [px, py] = stage.toScreen(motion.tip_x[k], motion.tip_y[k]);
+        const first = 4 * (Math.floor(py * ratio) * width + Math.floor(px * ratio));
+        return pixels.slice(first, first + 4).join() === "0,114,178,255";
+      });
+      stage.fit();
+      return found; }"""
+    found = page.evaluate(text)
+    assert len(found) > 300
+    assert sum(found) > 0.9 * len(found)  # rings and other symbols cover some dots
+
+
 def test_differences_of_plans_are_shown_without_motion(visit, made, tmp_path):
     rs.write_report(made[0], tmp_path / "two.html", paths=made[1], plans={"other": made[0]})
     page = visit(tmp_path / "two.html")

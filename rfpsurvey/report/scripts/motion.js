@@ -324,7 +324,7 @@ class MovingFocalPlane extends FocalPlaneView {
     super.paintArms(context, stage, rows, plan);
   }
 
-  // Squares in an image replace dots, because thousands of dots are drawn slowly.
+  // Dots are drawn in an image, because thousands of circles are drawn slowly.
   paintDots(context, stage, rows) {
     if (!this.moving) return super.paintDots(context, stage, rows);
     const { plan, motion } = this, { width, height } = stage.canvas, { tip_x, tip_y } = plan, ratio = width / stage.width, scale = ratio * stage.scale;
@@ -334,6 +334,7 @@ class MovingFocalPlane extends FocalPlaneView {
       this.layer = make("canvas", { width, height });
     }
     const pixels = new Uint32Array(this.image.data.buffer).fill(0), others = [];
+    const radius = wide / 2, indents = Array.from({ length: wide }, (_, row) => Math.round(radius - Math.sqrt(radius ** 2 - (row + 0.5 - radius) ** 2)));
     const rgb = parseInt(context.fillStyle.slice(1), 16), color = (0xff000000 | (rgb & 255) << 16 | rgb & 0xff00 | rgb >> 16) >>> 0;
     const [left, top] = [(width - wide) / 2 - stage.flip * stage.x * scale, (height - wide) / 2 + stage.y * scale];
     for (const k of rows) {
@@ -343,8 +344,10 @@ class MovingFocalPlane extends FocalPlaneView {
       }
       motion.place(k);
       const x = Math.round(left + stage.flip * scale * tip_x[k]), y = Math.round(top - scale * tip_y[k]);
-      const [end, low] = [Math.min(x + wide, width), Math.min(y + wide, height)];
-      for (let v = Math.max(y, 0); v < low; v += 1) for (let u = Math.max(x, 0); u < end; u += 1) pixels[v * width + u] = color;
+      for (let row = Math.max(-y, 0); row < Math.min(wide, height - y); row += 1) {
+        const begin = (y + row) * width, end = Math.min(x + wide - indents[row], width);
+        for (let u = Math.max(x + indents[row], 0); u < end; u += 1) pixels[begin + u] = color;
+      }
     }
     this.layer.getContext("2d").putImageData(this.image, 0, 0);
     context.drawImage(this.layer, 0, 0, stage.width, stage.height);
