@@ -276,6 +276,19 @@ def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.
     return rs.score_tile(table, model, **options, constraints=constraints), model
 
 
+@dataclass(frozen=True)
+class PathsOutputKeys(key_groups.FileKeys):
+    """The files that the command writes.
+
+    Parameters
+    ----------
+    report : Path, optional
+        Write an HTML report on the plan that shows the motion of the arms.
+    """
+
+    report: Path | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
 class PathsKeys(ScoreKeys):
     """The keys of the command.
@@ -292,7 +305,7 @@ class PathsKeys(ScoreKeys):
         Examine whether arms without a path are certainly interlocked; this can take a minute per group of arms.
     """
 
-    output: key_groups.FileKeys
+    output: PathsOutputKeys
     step: u.Quantity[u.deg] = 4 * u.deg
     margin: u.Quantity[u.mm] = 0.05 * u.mm
     rng: int = 1
@@ -301,7 +314,7 @@ class PathsKeys(ScoreKeys):
 
 @command(
     PathsKeys,
-    "instrument.name center position_angle step margin rng examine output.path output.overwrite",
+    "instrument.name center position_angle step margin rng examine output.path output.report output.overwrite",
     argument="catalog.path",
 )
 def paths(keys: PathsKeys, _: Given) -> None:
@@ -314,27 +327,27 @@ def paths(keys: PathsKeys, _: Given) -> None:
     --------
     rfpsurvey paths tile.fits --output paths.ecsv
     rfpsurvey paths confSummary-26.par.gz --output paths.fits
+    rfpsurvey paths tile.fits --report motion.html
     rfpsurvey paths plan.ecsv --instrument sdss_apo --examine
     """
     if keys.output.path is not None and has_ending(keys.output.path, (".parquet",)):
         import_parquet()  # an error is raised before the paths are planned
     tile, model = _scored(keys, (*WRITABLE, ".parquet"))
     made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.rng, examine=keys.examine)
-    if keys.output.path is not None:
-        made.write(keys.output.path, overwrite=keys.output.overwrite)
-    n = int(made.assigned.sum())
-    speed = f"{made.meta['speed_deg_s']:.4g} deg / s" + ", which is assumed" * made.meta["speed_is_assumed"]
-    print(f"{made.n_arriving} of {n} arms with a target reach it ({made.n_arriving / max(n, 1):.2%})")
-    print(f"duration {made.duration.to_value(u.s):.1f} s, at a speed of the joints of {speed}")
-    separation = model.focal_plane.arrays.separation
-    _print.print_text(
-        f"smallest distance of two arms {made.smallest_distance.to_value(u.mm):.3f} mm, minimum separation "
-        f"{separation:.3f} mm (proven at all times)"
-    )
-    for ids, reason in made.groups:
-        _print.print_text(f"{', '.join(ids)}: {reason}")
-    if keys.output.path is not None:
-        print(f"{keys.output.path}: {len(made.time)} break points of {len(made.arrives)} arms")
+    page = {"data": keys.catalog.path, "paths": made}
+    with _print.files(keys.output, write=made.write, report=(tile, page)):
+        n = int(made.assigned.sum())
+        speed = f"{made.meta['speed_deg_s']:.4g} deg / s" + ", which is assumed" * made.meta["speed_is_assumed"]
+        print(f"{made.n_arriving} of {n} arms with a target reach it ({made.n_arriving / max(n, 1):.2%})")
+        print(f"duration {made.duration.to_value(u.s):.1f} s, at a speed of the joints of {speed}")
+        separation = model.focal_plane.arrays.separation
+        _print.print_text(
+            f"smallest distance of two arms {made.smallest_distance.to_value(u.mm):.3f} mm, minimum separation "
+            f"{separation:.3f} mm (proven at all times)"
+        )
+        for ids, reason in made.groups:
+            _print.print_text(f"{', '.join(ids)}: {reason}")
+        print(f"{len(made.time)} break points of {len(made.arrives)} arms")
 
 
 def _time_of(table, epoch: object) -> Time | None:

@@ -162,6 +162,7 @@ BREAK = re.compile(r"(?<=\w[._])(?=\w)")  # places where a name may be broken in
 MOST_ITEMS = 30  # largest number of values that the page shows of a list in the provenance
 NEEDS = {
     "focal_plane": ["long_table", "focal_plane_drawing"],
+    "motion": ["long_table", "focal_plane_drawing", "focal_plane"],
     "sky_map": ["sky_map_drawing"],
 }  # further scripts that a view requires
 PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both A4 and US letter

@@ -1,6 +1,7 @@
 """The report page of a tile."""
 
 from collections.abc import Mapping
+from typing import TYPE_CHECKING
 
 import astropy.units as u
 import numpy as np
@@ -17,7 +18,11 @@ from rfpsurvey._field.tile import Tile
 from rfpsurvey.errors import number_of
 from rfpsurvey.plot import plot_focal_plane, plot_quality
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, model_facts
+from rfpsurvey.report._motion import motion_facts, motion_view
 from rfpsurvey.report._views import blocks_of_plans, focal_plane_view
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.paths import Paths
 
 COLUMNS = (
     "id",
@@ -42,11 +47,13 @@ TITLE = 0.35  # height (inches) of the title of a figure; the page shows a capti
 LITTLE = 60  # if there are more positioners than this, a second figure enlarges a part of the focal plane
 
 
-def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: int | None) -> Page:
+def page_of_tile(
+    tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: int | None, paths: "Paths | None" = None
+) -> Page:
     """Return the report page of a tile.
 
     ``where`` is the name of the file that contains the complete tile; ``plans`` contains the plans that the interactive
-    view of the focal plane shows.
+    view of the focal plane shows. If there are ``paths``, the arms move in this view.
     """
     summary, parameters = tile.summary, tile.provenance["parameters"]
     name = tile.provenance["instrument"]["name"]
@@ -64,6 +71,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
     if "n_in_field" in summary:
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
     result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
+    result += [] if paths is None else [motion_facts(paths)]
     sections = [Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])])]
     if summary.get("unmet") or recorded_constraints(parameters):
         verdicts = [] if tile.rules is None else tile.rules["verdict"].tolist()
@@ -78,7 +86,7 @@ def page_of_tile(tile: Tile, where: str, plans: Mapping[str, Tile], max_rows: in
         sections.append(Section("Constraints", blocks))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
-    sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows)]))
+    sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows, paths)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
     lead = "; ".join([counts, f"{arms} in collision{collision_shape(summary)}", *tile_problems(tile)]) + "."
     if parameters["allocator"] == "scored":
@@ -234,11 +242,12 @@ def _not_counted(tile) -> str:
     )
 
 
-def _view(tile, where, plans, max_rows) -> View:
+def _view(tile, where, plans, max_rows, paths) -> View:
     """Return the interactive view of all assignments; in browsers that run no scripts, figures replace the view."""
     words = "The interactive view lists all assignments, but it requires a browser that runs scripts."
     words += f" The file {where} also contains all assignments." if where else ""
-    return focal_plane_view(plans, [*_pictures(tile), *blocks_of_plans(plans, draw_plane, 1), Text(words)], max_rows)
+    still = [*_pictures(tile), *blocks_of_plans(plans, draw_plane, 1), Text(words)]
+    return focal_plane_view(plans, still, max_rows) if paths is None else motion_view(plans, paths, still, max_rows)
 
 
 def _empty(column) -> bool:

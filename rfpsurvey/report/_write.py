@@ -5,6 +5,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from astropy.table import QTable, Table
 
@@ -23,6 +24,7 @@ from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_w
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_survey_status, plot_tiling
 from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
 from rfpsurvey.report._html import html_of
+from rfpsurvey.report._motion import check_paths
 from rfpsurvey.report._tables import (
     is_designs,
     page_of_allocators,
@@ -33,6 +35,9 @@ from rfpsurvey.report._tables import (
 )
 from rfpsurvey.report._tile import page_of_tile
 from rfpsurvey.report._views import check_plans, sky_view
+
+if TYPE_CHECKING:
+    from rfpsurvey._instruments.paths import Paths
 
 
 def page_of_survey(survey: Survey, where: str) -> Page:
@@ -259,6 +264,7 @@ def write_report(
     data: str | os.PathLike | None = None,
     max_rows: int | None = None,
     plans: Mapping[str, Tile] | None = None,
+    paths: "Paths | bool | None" = None,
 ) -> None:
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
@@ -290,13 +296,17 @@ def write_report(
         For a report on a `Tile`, other plans of the same tile; for a table of `compare_allocators`, all plans of the
         comparison. The keys are the names of the plans. The view of the focal plane shows the differences between any
         two plans.
+    paths : Paths or bool, optional
+        For a report on a `Tile`, paths of the arms to the poses of the tile, such as those of `Tile.paths`. The view of
+        the focal plane then shows the motion of the arms. If ``paths`` is True, `Tile.paths` plans them.
 
     Raises
     ------
     InputError
         If there is no page for this type of result, if the path does not end in ``.html`` or ``.htm``, if the file
-        exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, or if
-        ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`.
+        exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, if
+        ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`, or if ``paths``
+        are given although the result is no `Tile`, or do not lead to the poses of this tile.
 
     Examples
     --------
@@ -318,7 +328,8 @@ def write_report(
     if not (plans is None or isinstance(plans, Mapping)):
         raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
-    page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows)
+    options = {} if (paths := check_paths(result, paths)) is None else {"paths": paths}
+    page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows, options)
     if title is not None:
         page = replace(page, title=str(title))  # subclasses of str can declare that they are safe HTML
     if pictures:
@@ -328,8 +339,11 @@ def write_report(
         temporary.write_bytes(content)
 
 
-def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None) -> Page:
-    """Return the page that describes a result; ``where`` is the name of the file that contains all rows."""
+def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None, options: dict) -> Page:
+    """Return the page that describes a result; ``where`` is the name of the file that contains all rows.
+
+    ``options`` are further parameters of the function that makes the page.
+    """
     build = next((build for kind, build in PAGES.items() if isinstance(result, kind)), None)
     if build is None:
         known = ", ".join(kind.__name__ for kind in PAGES)
@@ -341,7 +355,7 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
         elif columns <= set(result.colnames):  # a table with missing columns gets a plain page
             build = special
     if build in WITH_PLANS:
-        return build(result, where, plans=check_plans(result, plans), max_rows=max_rows)
+        return build(result, where, plans=check_plans(result, plans), max_rows=max_rows, **options)
     if plans is not None:
         raise InputError("plans must be given only for a Tile or a table of compare_allocators")
     return build(result, where)

@@ -10,6 +10,7 @@ from pathlib import Path
 from statistics import median
 from time import perf_counter
 
+import numpy as np
 from astropy.coordinates import SkyCoord
 
 sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
@@ -21,6 +22,8 @@ from browser import open_browser
 
 CENTER = SkyCoord(95, 23, unit="deg")
 VIEW = "document.querySelector('.view').view"
+# the content security policy of pages forbids Page.wait_for_function
+READY = f"async () => {{ while (!({VIEW}?.stage.width > 1)) await new Promise(requestAnimationFrame); }}"
 # reading the pixels back waits until everything is drawn
 ZOOM = """async (view) => {
   const times = [], { stage } = view, context = stage.canvas.getContext("2d");
@@ -36,6 +39,27 @@ ZOOM = """async (view) => {
   }
   return times;
 }"""
+
+
+# frames of a motion at the default speed and 60 frames per second, at five times, until the pixels are there
+FRAMES = """async ([view, planned]) => {
+  const times = [], { motion, stage } = view, context = stage.canvas.getContext("2d");
+  motion.planned = planned;
+  for (const part of [0.02, 0.25, 0.5, 0.75, 0.9]) {
+    view.show(0);
+    view.show(part * motion.data.duration);
+    for (let k = 0; k < 30; k += 1) {
+      const begin = performance.now();
+      view.show(motion.time + view.rate() / 60);
+      stage.paint();
+      context.getImageData(0, 0, 1, 1);
+      if (k) times.push(performance.now() - begin);
+      await new Promise(requestAnimationFrame);
+    }
+  }
+  return times;
+}"""
+WIDEST = "10 / Math.max(...view.outer)"  # mm to pixels; the smallest scale at which arms are drawn
 
 
 def desi_tile(folder):
@@ -60,6 +84,32 @@ def must_tile(folder):
     return ["must.html"]
 
 
+def motions(folder, name):
+    instrument = rs.Instrument.preset(name)
+    density = 100_000 / (np.pi * instrument.field_radius**2) if name == "must" else instrument.target_density
+    sky = rs.synthetic_catalog("poisson", CENTER, instrument.field_radius, density=density, rng=1)
+    tile = rs.plan_tile(sky, instrument, CENTER, allocator="repair")
+    rs.write_report(tile, folder / f"motion_{name}.html", overwrite=True, paths=True)
+    return f"motion_{name}.html"
+
+
+def time_motion(visit, file):
+    """Print the size of a page with a motion, and the times of its frames in three parts of the focal plane."""
+    page = visit(file)
+    page.evaluate(READY)
+    print(f"{file.name}: {file.stat().st_size / 1e6:.2f} MB, {page.evaluate(VIEW + '.n')} positioners; ms per frame:")
+    for where, move in (
+        ("everything", "stage.fit()"),
+        ("all visible arms", f"stage.show(0.2 * view.x[0], 0.2 * view.y[0], {WIDEST})"),
+        ("enlarged", f"stage.show(0.2 * view.x[0], 0.2 * view.y[0], 6 * {WIDEST})"),
+    ):
+        for planned in (True, False):
+            page.evaluate(f"(() => {{ const view = {VIEW}; view.{move}; }})()")
+            times = sorted(page.evaluate(f"() => ({FRAMES})([{VIEW}, {str(planned).lower()}])"))
+            kind = "planned paths" if planned else "constant rates"
+            print(f"  {where}, {kind}: median {median(times):.1f}, 95 % below {times[int(0.95 * len(times))]:.1f}")
+
+
 def desi_survey(folder):
     if not TILES.exists():
         print("no map of the DESI survey: desi_tiles_main.ecsv.gz is not in RFPSURVEY_TEST_DATA")
@@ -70,10 +120,13 @@ def desi_survey(folder):
 
 def main(folder):
     names = desi_tile(folder) + must_tile(folder) + desi_survey(folder)
+    moving = [motions(folder, name) for name in ("sdss_apo", "desi", "must")]
     with open_browser(ignored="console: Canvas2D") as visit:
+        for name in moving:
+            time_motion(visit, folder / name)
         for name in names:
             page = visit(folder / name)
-            page.wait_for_function(f"{VIEW}?.stage.width > 1")
+            page.evaluate(READY)
             first = float(page.evaluate(f"{VIEW}.stage.canvas.dataset.milliseconds"))
             start = page.evaluate(
                 "(() => { const s = document.querySelector('.view'), b = performance.now();"

@@ -75,3 +75,15 @@ def test_the_instrument_of_a_tile_must_fit(tile):
     changed = replace(instrument, focal_plane=replace(plane, id=np.char.add(plane.id, "x")))
     with pytest.raises(rs.InputError, match="the tile must belong to the 500 positioners of sdss_apo, got other ids"):
         tile[0].paths(changed)
+
+
+def test_the_report_shows_the_motion(call, refused, tile, tmp_path):
+    out = call("paths {} --report {} --output", tile[1], tmp_path / "motion.html", tmp_path / "paths.ecsv").out
+    assert out.endswith(f"wrote {tmp_path / 'paths.ecsv'}\nwrote {tmp_path / 'motion.html'}\n")
+    text = (tmp_path / "motion.html").read_text()
+    assert "MovingFocalPlane" in text
+    assert "tile.fits" in text
+    assert "motion.html exists; to replace it, use --overwrite" in refused(
+        "paths {} --report", tile[1], tmp_path / "motion.html"
+    )
+    assert "page.txt: the name of this output file must end in .html" in refused("paths {} --report page.txt", tile[1])
