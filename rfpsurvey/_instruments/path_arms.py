@@ -25,12 +25,12 @@ class PathArms(NamedTuple):
     around: joint_motion.Surroundings
     theta: np.ndarray  # initial poses in the convention of the kernels; NaN for arms that are absent
     psi: np.ndarray
-    home: np.ndarray  # theta of the arms in the home pose, within the joint limits
     theta_zero: np.ndarray  # theta in the convention of the kernels minus the joint angle
     phi_zero: np.ndarray  # psi - theta minus the joint angle phi
     turns_freely: np.ndarray  # whether theta of each arm has no limits, except those that are assumed for its cables
     enclosed: np.ndarray  # idle arms that collide in all poses, and the arms with which they collide
     beyond: np.ndarray  # arms whose poses are beyond the ranges of their joints
+    crowded: bool  # whether folded arms touch each other unless they point in one direction, which replaces home
 
 
 def arms_of(columns, posed, motion, margin: float) -> PathArms:
@@ -80,11 +80,18 @@ def arms_of(columns, posed, motion, margin: float) -> PathArms:
     bodies.x[absent] = np.nan
     theta, psi, fold = (np.where(absent, 0.0, v) for v in (theta, theta + phi, fold))
     idle, ends = np.flatnonzero(stays & ~absent), (theta_low, theta_high)
+    pairs = _moves.touching(columns, _moves.extent(columns, fold, bodies.length), central)
+    common = _common_direction(columns.limits, bodies, pairs, home, fold, ends)
+    if common is not None:
+        home = common
+        theta[idle], psi[idle] = home[idle], (home + fold)[idle]
     around, enclosed = _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin)
     free = columns.usable & ~absent & ~enclosed & ~beyond
-    limits = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
+    limits = {"home": home, "theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
     around = around._replace(**limits, free=free)
-    return PathArms(bodies, around, theta, psi, home, theta_zero, phi_zero + offset, unlimited, enclosed, beyond)
+    return PathArms(
+        bodies, around, theta, psi, theta_zero, phi_zero + offset, unlimited, enclosed, beyond, common is not None
+    )
 
 
 def _ends(given, low, high):
@@ -112,6 +119,24 @@ def bodies_of(columns, owner, fiber):
         (length.copy(), 0.0) if outline is None else (np.full(len(owner), outline.reach[0]), outline.reach[1])
     )
     return joint_motion.Bodies(g.cx.copy(), g.cy.copy(), g.l1.copy(), inner, length, reach, float(central)), offset
+
+
+def _common_direction(limits, bodies, pairs, home, fold, ends):
+    """Return theta of folded arms that all point in one direction in which no ``pairs`` touch, or None."""
+    n, common, widest = len(home), None, limits.separation + TOLERANCE
+    if len(pairs) == 0:
+        return None
+    rows, near = np.arange(0, 2 * n, 2), np.empty(len(pairs))
+    for angle in np.deg2rad(np.arange(0.0, 180.0, 7.5)):
+        for direction in (angle, -angle):
+            theta = np.clip(_within(home[0] + direction, *ends), *ends)
+            poses = np.repeat(theta, 2), np.repeat(theta + fold, 2)
+            knots = joint_motion.Knots(rows, rows + 2, np.tile([0.0, 1.0], n), *poses)
+            joint_motion.find_near(knots, bodies, limits, pairs, limits.separation + WIDE, near)
+            least = min(near.min(), limits.separation + WIDE)
+            if least > widest + TOLERANCE:  # of equal gaps, the one that is nearest to the home pose
+                common, widest = theta, least
+    return common
 
 
 def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
@@ -149,7 +174,7 @@ def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
         clearance,
         columns.obstacles,
         columns.clearance,
-        *[nothing] * 4,
+        *[nothing] * 5,
         fold,
         enclosed,
     )

@@ -104,6 +104,17 @@ def test_paths_of_small_planes(name, seed):
         np.testing.assert_array_equal(getattr(paths, column), getattr(again, column))
 
 
+def test_folded_arms_that_touch_each_other_end_in_one_direction():
+    plane = SMALL["crowded"]()
+    tips = np.full((19, 2), np.nan) * MM
+    tips[7] = plane.xy[7] + [5, 20] * MM
+    paths = find_paths(plane, tips)
+    assert paths.arrives.all()
+    theta, phi = (angle[paths.start[1:] - 1].to_value(DEG) for angle in (paths.theta, paths.phi))
+    np.testing.assert_allclose(np.cos(np.deg2rad(theta - theta[0])), 1, atol=1e-12)
+    np.testing.assert_allclose(phi, 180)
+
+
 @pytest.mark.parametrize("name", ["troubles", "outlines", "capsules"])
 def test_the_same_seed_gives_the_same_paths(name):
     plane = SMALL[name]()
