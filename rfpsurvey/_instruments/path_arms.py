@@ -85,10 +85,10 @@ def arms_of(columns, posed, motion, margin: float) -> PathArms:
     if common is not None:
         home = common
         theta[idle], psi[idle] = home[idle], (home + fold)[idle]
-    around, enclosed = _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin)
-    free = columns.usable & ~absent & ~enclosed & ~beyond
-    limits = {"home": home, "theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
-    around = around._replace(**limits, free=free)
+    joints = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
+    joints |= {"home": home, "fold": fold}
+    around, enclosed = _surroundings(columns, bodies, theta, psi, idle, joints, margin)
+    around = around._replace(free=around.free & ~beyond)
     return PathArms(
         bodies, around, theta, psi, theta_zero, phi_zero + offset, unlimited, enclosed, beyond, common is not None
     )
@@ -139,15 +139,25 @@ def _common_direction(limits, bodies, pairs, home, fold, ends):
     return common
 
 
-def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
-    """Choose the poses of idle arms, and return what each arm must avoid, and which arms are enclosed."""
-    n, limits = len(theta), columns.limits
+def _surroundings(columns, bodies, theta, psi, idle, joints, margin):
+    """Choose the poses of idle arms, and return what each arm must avoid, and which arms are enclosed.
+
+    ``joints`` contains the joint limits, the home poses and the folds as in `Surroundings`.
+    """
+    n, limits, pairs = len(theta), columns.limits, columns.obstacle_pairs
     start, near = _grouped(np.vstack([columns.neighbors, columns.neighbors[:, ::-1]]), n)
+    o_start, o_near = _grouped(pairs, n)
+    separation, clearance = np.empty(len(near)), np.full(len(o_near), columns.clearance + margin)
+    around = joint_motion.Surroundings(
+        *(start, near, separation, o_start, o_near, clearance, columns.obstacles, columns.clearance),
+        free=columns.usable & np.isfinite(bodies.x),
+        **joints,
+    )
     segments, gap = np.empty((4, n + 1)), np.full(n, np.inf)
     path_steps.locate_all(bodies, theta, psi, segments)
     _check_start(columns, segments, idle)
     segments[:, idle] = np.nan
-    path_steps.place_idle(bodies, limits, start, near, idle, fold, BENDS, WIDE, *ends, theta, psi, segments, gap)
+    path_steps.place_idle(bodies, limits, around, idle, BENDS, WIDE, theta, psi, segments, gap)
     enclosed = gap <= TOLERANCE
     for i in np.flatnonzero(enclosed):  # they and their neighbors have no proven path
         row = near[start[i] : start[i + 1]]
@@ -155,30 +165,19 @@ def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
         enclosed[row[np.array(distance) <= limits.separation + TOLERANCE]] = True
         bodies.x[i] = np.nan
         segments[:, i] = np.nan
-    separation = np.empty(len(near))
     path_steps.keep_separations(segments, limits, start, near, margin, separation)
-    pairs = columns.obstacle_pairs
-    o_start, o_near = _grouped(pairs, n)
-    owner, clearance = np.repeat(np.arange(n), np.diff(o_start)), np.full(len(o_near), columns.clearance + margin)
+    owner = np.repeat(np.arange(n), np.diff(o_start))
     for k, (i, j) in enumerate(zip(owner, o_near, strict=True)):
         pose = bodies, limits, i, theta[i], 0.0, psi[i], 0.0, columns.obstacles, j
         distance = joint_motion.comes_near_obstacle(*pose, clearance[k])
+        if distance <= columns.clearance + TOLERANCE and around.free[i]:
+            raise InputError(
+                "the arms must not touch obstacles in the poses of the plan, but the arm of the positioner "
+                f"{columns.plane.id[i]} is not farther from an obstacle than the clearance plus 1e-6 mm; "
+                "find_collisions lists all collisions"
+            )
         clearance[k] = max(min(clearance[k], distance - 2 * TOLERANCE), columns.clearance)
-    nothing = np.zeros(0)
-    around = joint_motion.Surroundings(
-        start,
-        near,
-        separation,
-        o_start,
-        o_near,
-        clearance,
-        columns.obstacles,
-        columns.clearance,
-        *[nothing] * 5,
-        fold,
-        enclosed,
-    )
-    return around, enclosed
+    return around._replace(free=around.free & ~enclosed), enclosed
 
 
 def _grouped(pairs, n):

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from rfpsurvey._kernels.collisions import pair_squared
+from rfpsurvey._kernels.collisions import obstacle_distance, pair_squared
 from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.joint_motion import come_near, comes_near_obstacle, speed_of
 from rfpsurvey._kernels.motion import TOLERANCE
@@ -250,15 +250,16 @@ def keep_separations(segments, limits, start, near, margin, out):
 
 
 @kernel
-def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, theta, psi, segments, gap):
+def place_idle(bodies, limits, around, rows, bends, wide, theta, psi, segments, gap):
     """Choose a pose of each of the idle arms ``rows``: folded if possible, and as far from other arms as possible.
 
-    Poses are tried in 24 directions from that of ``theta``, within the limits ``low`` and ``high``, for each angle of
-    ``bends`` by which the arm is less folded. Gaps of ``wide`` or more are not distinguished, and obstacles are not
-    considered. The poses, their segments and gaps are written to the last arrays; the segments of these arms must be
-    NaN before.
+    Poses are tried in 24 directions from that of ``theta``, within the joint limits, for each angle of ``bends`` by
+    which the arm is less folded. The gap of a pose is the smallest of those to other arms and obstacles; gaps of
+    ``wide`` or more are not distinguished. The poses, their segments and gaps are written to the last arrays; the
+    segments of these arms must be NaN before.
     """
     last = segments.shape[1] - 1
+    low, high, fold, obstacles = around.theta_low, around.theta_high, around.fold, around.obstacles
     for i in rows:
         home = theta[i]
         gap[i] = -math.inf
@@ -272,11 +273,17 @@ def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, 
                 p = a + fold[i] - math.copysign(bend, fold[i])
                 locate(bodies, a, p, i, segments, last)
                 least = wide
-                for n in range(start[i], start[i + 1]):
-                    j = near[n]
+                for n in range(around.start[i], around.start[i + 1]):
+                    j = around.near[n]
                     distance = distance_at_rest(segments, limits, last, i, j, j, limits.separation + wide)
                     if distance - limits.separation < least:  # false for NaN
                         least = distance - limits.separation
+                ends = segments[0, last], segments[1, last], segments[2, last], segments[3, last]
+                for n in range(around.o_start[i], around.o_start[i + 1]):
+                    j = around.o_near[n]
+                    radius = obstacles[j, 2] if j < obstacles.shape[0] else 0.0
+                    away = obstacle_distance(limits, obstacles, i, *ends, j) - radius
+                    least = min(least, away - around.required)
                 if least > gap[i]:
                     gap[i], theta[i], psi[i] = least, a, p
             if gap[i] > 0.1 * wide:

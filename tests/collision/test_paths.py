@@ -275,6 +275,27 @@ def test_broken_arms_that_collide_do_not_prevent_paths(trouble):
     assert paths.arrives[2]
 
 
+SQUARE = np.array([[6, -1], [8, -1], [8, 1], [6, 1]])
+RING = [[7 * np.cos(angle), 7 * np.sin(angle), 2] for angle in np.arange(0, 6, 0.5)]
+
+
+@pytest.mark.parametrize("shapes", [{"obstacles": [[7, 0, 1]] * MM}, {"obstacle_polygons": [SQUARE * MM]}])
+def test_arms_without_a_target_avoid_obstacles(shapes):
+    plane = rs.FocalPlane([[0, 0], [70, 0]] * MM, rs.Positioner(8 * MM, 14 * MM, 1 * MM), **shapes)
+    paths = find_paths(plane, [[np.nan] * 2, [80, 5]] * MM)
+    assert paths.arrives.all()
+    assert Replay(plane, paths.table).to_obstacles() >= 1
+
+
+def test_obstacles_that_arms_touch_in_the_poses_of_the_plan_are_reported():
+    unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM)
+    plane = rs.FocalPlane([[0, 0], [70, 0]] * MM, unit, obstacles=RING * MM)
+    paths = find_paths(plane, [[np.nan] * 2, [80, 5]] * MM)
+    assert paths.groups == ((["0"], "an arm without a target collides in all poses"),)
+    assert paths.arrives.tolist() == [False, True]
+    refused("the arm of the positioner 0 is not farther from an obstacle", find_paths, plane, [[9, 0], [80, 5]] * MM)
+
+
 def test_an_arm_that_turns_freely_is_not_locked_by_the_assumed_range():
     circles = [[3.46, -9.17, 0.51], [-2.24, -6.21, 1.94], [11.31, -9.7, 1.79]] * MM
     plane = rs.FocalPlane([[0, 0], [200, 0]] * MM, rs.Positioner(8 * MM, 14 * MM, 1 * MM), obstacles=circles)
