@@ -28,6 +28,7 @@ MOST = np.deg2rad(1440.0)
 """Angle by which an arm can turn during an attempt."""
 ASSUMED_SPEED = np.deg2rad(10.0)
 """Angular speed (rad / s) of joints for which no speed is known."""
+NOT_FOUND = "no path was found"
 SAME = 1e-6
 """Largest difference (rad) of phi from that of the folded arm, for arms that have arrived."""
 GROUP = 4
@@ -80,8 +81,8 @@ def find_paths(
     rng : int, Generator or None, optional
         Seed or generator of random numbers, on which the motions of arms that give way depend.
     examine : bool, optional
-        Whether to examine, for each group without a path, whether the two arms that are nearest to each other are
-        certainly interlocked. This can take a minute per group.
+        Whether to examine, for each group without a path, whether the two arms that are nearest to each other have a
+        path without the other arms, or are certainly interlocked. This can take a minute per group.
 
     Returns
     -------
@@ -242,8 +243,7 @@ class _Planner:
                 if len(path):
                     break
             if len(path) == 0:
-                proven = examine and len(members) > 1 and self._are_interlocked(i, members[1])
-                reason = "the two arms are interlocked" if proven else "no path was found"
+                reason = self._examine(members[:2]) if examine and len(members) > 1 else NOT_FOUND
                 self.groups.append(([str(self.columns.plane.id[k]) for k in members[:2]], reason))
                 continue
             touched = np.unique(np.concatenate([around.near[around.start[k] : around.start[k + 1]] for k in group]))
@@ -260,6 +260,16 @@ class _Planner:
         """Return whether arm i certainly has no path to its folded pose, even if all arms that can move are removed."""
         is_open, _, _, (k, m), fold = self._cells_of(i, CELL)
         return not path_search.reaches_fold(is_open, self.prepared.turns_freely[i], k, m, fold)
+
+    def _examine(self, pair) -> str:
+        """Return what is certain about the paths of two arms if all other arms that can move are removed."""
+        bodies, others = self.prepared.bodies, self.prepared.around.free.copy()
+        others[pair] = False
+        alone = bodies._replace(x=np.where(others, np.nan, bodies.x))
+        poses = self.closer, self.theta, self.psi, pair
+        if len(path_search.search(alone, self.columns.limits, *poses, REACH, N_NODES[0], self.rng)):
+            return "the two arms have a path without the other arms"
+        return "the two arms are interlocked" if self._are_interlocked(*pair) else NOT_FOUND
 
     def _are_interlocked(self, i, j) -> bool:
         """Return whether the arms i and j certainly have no paths, even if all other arms that can move are removed."""
