@@ -302,7 +302,8 @@ class PathsKeys(ScoreKeys):
     rng : int, optional
         Seed of random numbers.
     examine : bool, optional
-        Examine whether arms without a path are certainly interlocked; this can take a minute per group of arms.
+        Examine whether two arms without a path have one without the other arms, or are certainly interlocked; this can
+        take a minute per group of arms.
     """
 
     output: PathsOutputKeys

@@ -16,14 +16,19 @@ from rfpsurvey.errors import InputTypeError, check_keywords, check_switch
 STAGES = ((1.0, 2.0, 0.3, True), (0.5, 2.0, 0.3, True), (0.25, 2.0, 0.3, False), (0.25, 4.0, 1.0, False))
 """Attempts to fold the arms that remain: step (in units of the given step), range (mm) and noise of the cost, and
 whether the margin is kept."""
-PATIENCE = np.deg2rad(40.0)
-"""An attempt ends if the arms fold no further while an arm could turn by this angle."""
+CROWDED = (*STAGES, *((1.0, 2.0, 1.0, False), (1.0, 4.0, 2.0, False), (0.5, 2.0, 0.3, False), STAGES[2]) * 3)
+"""Attempts for planes in which folded arms touch each other unless they all point in one direction."""
+WEIGHT = 0.02
+"""Cost of an angle from this direction; that of the same angle from the folded pose is 1."""
+PATIENCE = np.deg2rad([40.0, 80.0])
+"""An attempt ends if the arms fold no further while an arm could turn by this angle; the second is for `CROWDED`."""
 PRESSED = np.deg2rad(20.0)
 """Angle by which an arm turns while it gives way to a neighbor that it blocked."""
 MOST = np.deg2rad(1440.0)
 """Angle by which an arm can turn during an attempt."""
 ASSUMED_SPEED = np.deg2rad(10.0)
 """Angular speed (rad / s) of joints for which no speed is known."""
+NOT_FOUND = "no path was found"
 SAME = 1e-6
 """Largest difference (rad) of phi from that of the folded arm, for arms that have arrived."""
 GROUP = 4
@@ -32,8 +37,8 @@ CELL = np.deg2rad(1.0)
 """Size of the cells with which it is proven that an arm has no path."""
 PAIR_CELL, MOST_STATES = np.deg2rad(2.0), 20_000_000
 """Size of the cells with which it is proven that two arms have no paths, and largest number of examined states."""
-REACH, N_NODES = np.deg2rad(10.0), 6_000
-"""Largest change of an angle between two nodes of a search, and largest number of nodes."""
+REACH, N_NODES = np.deg2rad(10.0), (6_000, 1_000)
+"""Largest change of an angle between two nodes of a search, and largest number of nodes (second: `CROWDED`)."""
 TOLERANCES = np.deg2rad([16.0, 8.0, 4.0, 2.0, 1.0, 0.5])
 """Largest changes of angles by which paths are simplified; the first that is possible is used."""
 
@@ -54,7 +59,8 @@ def find_paths(
     All arms move at the same time, in short steps. In each step, an arm moves toward its folded pose; if it would come
     too close to another arm, it waits or gives way, and the arms in its way also give way. For arms that remain, paths
     of groups of up to four arms are searched in the space of their joint angles. Folded arms finally turn to the home
-    pose of the instrument. The paths are then simplified to few break points, and are proven (`Paths`).
+    pose of the instrument. If folded arms can touch each other while they turn, the goal is one direction of all arms
+    in which they do not. The paths are then simplified to few break points, and are proven (`Paths`).
 
     Arms without a target move out of the way of other arms, and broken arms are obstacles. Where joint limits are not
     known, theta turns by at most 180 deg from the home pose, and phi does not pass the extended pose.
@@ -75,8 +81,8 @@ def find_paths(
     rng : int, Generator or None, optional
         Seed or generator of random numbers, on which the motions of arms that give way depend.
     examine : bool, optional
-        Whether to examine, for each group without a path, whether the two arms that are nearest to each other are
-        certainly interlocked. This can take a minute per group.
+        Whether to examine, for each group without a path, whether the two arms that are nearest to each other have a
+        path without the other arms, or are certainly interlocked. This can take a minute per group.
 
     Returns
     -------
@@ -181,31 +187,44 @@ class _Planner:
         """Add knots with the present poses of the positioners ``rows``."""
         self.parts.append((rows, np.broadcast_to(time, len(rows)), self.theta[rows], self.psi[rows]))
 
+    def _left(self) -> tuple[int, int]:
+        """Return how many arms are not folded, and how many do not point in the direction of a crowded plane."""
+        around, crowded = self.prepared.around, self.prepared.crowded
+        turned = around.free & (np.abs(around.home - self.theta) > SAME) & crowded
+        return int((self.remaining > SAME).sum()), int(turned.sum())
+
     def fold_all(self):
         """Fold all arms in short steps; each attempt begins with the poses at the end of the attempt before."""
         prepared, limits = self.prepared, self.columns.limits
-        for factor, wide, noise, with_margin in STAGES:
+        crowded, best = int(prepared.crowded), (self._left(),)
+        for factor, wide, noise, with_margin in CROWDED if crowded else STAGES:
             around = prepared.around if with_margin else self.closer
-            before = self.theta.copy(), self.psi.copy(), int((self.remaining > SAME).sum())
+            before = self.theta.copy(), self.psi.copy(), self._left()
             # the arms that are farthest from their folded poses decide first
             order = np.argsort(-self.remaining, kind="stable")
             h = self.step * factor
-            counts = (int(np.ceil(angle / h)) for angle in (MOST, PATIENCE, PRESSED))
+            counts = (int(np.ceil(angle / h)) for angle in (MOST, PATIENCE[crowded], PRESSED))
+            costs = wide, noise, crowded * WEIGHT
             owner, when, where, n = path_steps.walk(
-                prepared.bodies, limits, around, self.theta, self.psi, order, h, *counts, wide, noise, self.rng
+                prepared.bodies, limits, around, self.theta, self.psi, order, h, *counts, *costs, self.rng
             )
-            left = int((self.remaining > SAME).sum())
-            if left == before[2]:  # an attempt that folds no arm only takes time
+            left = self._left()
+            if left == before[2] and not crowded:  # an attempt that folds no arm only takes time
                 self.theta, self.psi = before[:2]
                 continue
             self.parts.append((owner, self.time + factor * when, *where))
             self.time += factor * n
-            if left == 0:
+            if left < best[0]:
+                best = left, len(self.parts), self.time, self.theta.copy(), self.psi.copy()
+            if left == (0, 0):
                 break
+        if len(best) > 1:
+            n, self.time, self.theta, self.psi = best[1:]
+            del self.parts[n:]
 
     def search_groups(self, examine: bool):
         """Search paths of small groups for the arms that are not folded; distant groups move at the same time."""
-        prepared, around = self.prepared, self.closer
+        prepared, around, n_nodes = self.prepared, self.closer, N_NODES[self.prepared.crowded]
         busy = np.full(len(self.theta), self.time)
         for i in np.flatnonzero(self.remaining > SAME):
             if self.remaining[i] <= SAME:
@@ -219,13 +238,12 @@ class _Planner:
             for size in range(min(2, len(members)), min(GROUP, len(members)) + 1):
                 group = members[:size]
                 path = path_search.search(
-                    prepared.bodies, self.columns.limits, around, self.theta, self.psi, group, REACH, N_NODES, self.rng
+                    prepared.bodies, self.columns.limits, around, self.theta, self.psi, group, REACH, n_nodes, self.rng
                 )
                 if len(path):
                     break
             if len(path) == 0:
-                proven = examine and len(members) > 1 and self._are_interlocked(i, members[1])
-                reason = "the two arms are interlocked" if proven else "no path was found"
+                reason = self._examine(members[:2]) if examine and len(members) > 1 else NOT_FOUND
                 self.groups.append(([str(self.columns.plane.id[k]) for k in members[:2]], reason))
                 continue
             touched = np.unique(np.concatenate([around.near[around.start[k] : around.start[k + 1]] for k in group]))
@@ -242,6 +260,16 @@ class _Planner:
         """Return whether arm i certainly has no path to its folded pose, even if all arms that can move are removed."""
         is_open, _, _, (k, m), fold = self._cells_of(i, CELL)
         return not path_search.reaches_fold(is_open, self.prepared.turns_freely[i], k, m, fold)
+
+    def _examine(self, pair) -> str:
+        """Return what is certain about the paths of two arms if all other arms that can move are removed."""
+        bodies, others = self.prepared.bodies, self.prepared.around.free.copy()
+        others[pair] = False
+        alone = bodies._replace(x=np.where(others, np.nan, bodies.x))
+        poses = self.closer, self.theta, self.psi, pair
+        if len(path_search.search(alone, self.columns.limits, *poses, REACH, N_NODES[0], self.rng)):
+            return "the two arms have a path without the other arms"
+        return "the two arms are interlocked" if self._are_interlocked(*pair) else NOT_FOUND
 
     def _are_interlocked(self, i, j) -> bool:
         """Return whether the arms i and j certainly have no paths, even if all other arms that can move are removed."""
@@ -282,7 +310,7 @@ class _Planner:
     def turn_home(self):
         """Turn the folded arms to the home pose, unless they would collide with arms that do not turn."""
         prepared, n = self.prepared, len(self.theta)
-        turn = np.where(prepared.around.free & (self.remaining <= SAME), prepared.home - self.theta, 0.0)
+        turn = np.where(prepared.around.free & (self.remaining <= SAME), prepared.around.home - self.theta, 0.0)
         while turn.any():
             rows = np.arange(0, 2 * n, 2)
             ends = (np.column_stack([angle, angle + turn]).ravel() for angle in (self.theta, self.psi))

@@ -33,12 +33,12 @@ class PathArms(NamedTuple):
     around: joint_motion.Surroundings
     theta: np.ndarray  # initial poses in the convention of the kernels; NaN for arms that are absent
     psi: np.ndarray
-    home: np.ndarray  # theta of the arms in the home pose, within the joint limits
     theta_zero: np.ndarray  # theta in the convention of the kernels minus the joint angle
     phi_zero: np.ndarray  # psi - theta minus the joint angle phi
     turns_freely: np.ndarray  # whether theta of each arm has no limits, except those that are assumed for its cables
     enclosed: np.ndarray  # idle arms that collide in all poses, and the arms with which they collide
     beyond: np.ndarray  # arms whose poses are beyond the ranges of their joints
+    crowded: bool  # whether folded arms touch each other unless they point in one direction, which replaces home
 
 
 def arms_of(columns, posed, motion, margin: float) -> PathArms:
@@ -88,11 +88,18 @@ def arms_of(columns, posed, motion, margin: float) -> PathArms:
     bodies.x[absent] = np.nan
     theta, psi, fold = (np.where(absent, 0.0, v) for v in (theta, theta + phi, fold))
     idle, ends = np.flatnonzero(stays & ~absent), (theta_low, theta_high)
-    around, enclosed = _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin)
-    free = columns.usable & ~absent & ~enclosed & ~beyond
-    limits = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
-    around = around._replace(**limits, free=free)
-    return PathArms(bodies, around, theta, psi, home, theta_zero, phi_zero + offset, unlimited, enclosed, beyond)
+    pairs = _moves.touching(columns, _moves.extent(columns, fold, bodies.length), central)
+    common = _common_direction(columns.limits, bodies, pairs, home, fold, ends)
+    if common is not None:
+        home = common
+        theta[idle], psi[idle] = home[idle], (home + fold)[idle]
+    joints = {"theta_low": theta_low, "theta_high": theta_high, "phi_low": low, "phi_high": high}
+    joints |= {"home": home, "fold": fold}
+    around, enclosed = _surroundings(columns, bodies, theta, psi, idle, joints, margin)
+    around = around._replace(free=around.free & ~beyond)
+    return PathArms(
+        bodies, around, theta, psi, theta_zero, phi_zero + offset, unlimited, enclosed, beyond, common is not None
+    )
 
 
 def _ends(given, low, high):
@@ -122,15 +129,43 @@ def bodies_of(columns, owner, fiber):
     return joint_motion.Bodies(g.cx.copy(), g.cy.copy(), g.l1.copy(), inner, length, reach, float(central)), offset
 
 
-def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
-    """Choose the poses of idle arms, and return what each arm must avoid, and which arms are enclosed."""
-    n, limits = len(theta), columns.limits
+def _common_direction(limits, bodies, pairs, home, fold, ends):
+    """Return theta of folded arms that all point in one direction in which no ``pairs`` touch, or None."""
+    n, common, widest = len(home), None, limits.separation + TOLERANCE
+    if len(pairs) == 0:
+        return None
+    rows, near = np.arange(0, 2 * n, 2), np.empty(len(pairs))
+    for angle in np.deg2rad(np.arange(0.0, 180.0, 7.5)):
+        for direction in (angle, -angle):
+            theta = np.clip(_within(home[0] + direction, *ends), *ends)
+            poses = np.repeat(theta, 2), np.repeat(theta + fold, 2)
+            knots = joint_motion.Knots(rows, rows + 2, np.tile([0.0, 1.0], n), *poses)
+            joint_motion.find_near(knots, bodies, limits, pairs, limits.separation + WIDE, near)
+            least = min(near.min(), limits.separation + WIDE)
+            if least > widest + TOLERANCE:  # of equal gaps, the one that is nearest to the home pose
+                common, widest = theta, least
+    return common
+
+
+def _surroundings(columns, bodies, theta, psi, idle, joints, margin):
+    """Choose the poses of idle arms, and return what each arm must avoid, and which arms are enclosed.
+
+    ``joints`` contains the joint limits, the home poses and the folds as in `Surroundings`.
+    """
+    n, limits, pairs = len(theta), columns.limits, columns.obstacle_pairs
     start, near = _grouped(np.vstack([columns.neighbors, columns.neighbors[:, ::-1]]), n)
+    o_start, o_near = _grouped(pairs, n)
+    separation, clearance = np.empty(len(near)), np.full(len(o_near), columns.clearance + margin)
+    around = joint_motion.Surroundings(
+        *(start, near, separation, o_start, o_near, clearance, columns.obstacles, columns.clearance),
+        free=columns.usable & np.isfinite(bodies.x),
+        **joints,
+    )
     segments, gap = np.empty((4, n + 1)), np.full(n, np.inf)
     path_steps.locate_all(bodies, theta, psi, segments)
     _check_start(columns, segments, idle)
     segments[:, idle] = np.nan
-    path_steps.place_idle(bodies, limits, start, near, idle, fold, BENDS, WIDE, *ends, theta, psi, segments, gap)
+    path_steps.place_idle(bodies, limits, around, idle, BENDS, WIDE, theta, psi, segments, gap)
     enclosed = gap <= TOLERANCE
     for i in np.flatnonzero(enclosed):  # they and their neighbors have no proven path
         row = near[start[i] : start[i + 1]]
@@ -138,39 +173,22 @@ def _surroundings(columns, bodies, theta, psi, fold, ends, idle, margin):
         enclosed[row[np.array(distance) <= limits.separation + TOLERANCE]] = True
         bodies.x[i] = np.nan
         segments[:, i] = np.nan
-    separation = np.empty(len(near))
     path_steps.keep_separations(segments, limits, start, near, margin, separation)
-    pairs = columns.obstacle_pairs
-    o_start, o_near = _grouped(pairs, n)
-    owner, clearance = np.repeat(np.arange(n), np.diff(o_start)), np.full(len(o_near), columns.clearance + margin)
-    is_near = np.zeros(len(o_near), dtype=bool)
+    owner, is_near = np.repeat(np.arange(n), np.diff(o_start)), np.zeros(len(o_near), dtype=bool)
     for k, (i, j) in enumerate(zip(owner, o_near, strict=True)):
         pose = bodies, limits, i, theta[i], 0.0, psi[i], 0.0, columns.obstacles, j
         distance = joint_motion.comes_near_obstacle(*pose, clearance[k])
+        is_near[k] = around.free[i] and distance <= columns.clearance + TOLERANCE
         clearance[k] = max(min(clearance[k], distance - 2 * TOLERANCE), columns.clearance)
-        is_near[k] = distance <= columns.clearance + TOLERANCE
-    touching = owner[columns.usable[owner] & is_near]
+    touching = np.unique(owner[is_near])
     if len(touching):
         raise CollidingPosesError(
             "the arms must not touch obstacles in the poses of the plan, but the arm of the positioner "
-            f"{columns.plane.id[touching[0]]} is closer to one than the clearance plus 1e-6 mm",
-            np.unique(touching),
+            f"{columns.plane.id[touching[0]]} is not farther from an obstacle than the clearance plus 1e-6 mm; "
+            "find_collisions lists all collisions",
+            touching,
         )
-    nothing = np.zeros(0)
-    around = joint_motion.Surroundings(
-        start,
-        near,
-        separation,
-        o_start,
-        o_near,
-        clearance,
-        columns.obstacles,
-        columns.clearance,
-        *[nothing] * 4,
-        fold,
-        enclosed,
-    )
-    return around, enclosed
+    return around._replace(free=around.free & ~enclosed), enclosed
 
 
 def _grouped(pairs, n):

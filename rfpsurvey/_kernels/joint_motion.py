@@ -58,6 +58,7 @@ class Surroundings(NamedTuple):
     theta_high: np.ndarray
     phi_low: np.ndarray  # limits of psi - theta
     phi_high: np.ndarray
+    home: np.ndarray  # theta of the home pose, within the joint limits
     fold: np.ndarray  # psi - theta of the folded arm
     free: np.ndarray  # whether each arm can move
 

@@ -11,7 +11,7 @@ import math
 
 import numpy as np
 
-from rfpsurvey._kernels.collisions import pair_squared
+from rfpsurvey._kernels.collisions import obstacle_distance, pair_squared
 from rfpsurvey._kernels.jit import kernel
 from rfpsurvey._kernels.joint_motion import come_near, comes_near_obstacle, speed_of
 from rfpsurvey._kernels.motion import TOLERANCE
@@ -120,13 +120,14 @@ def nearness(bodies, limits, around, state, i, turn, psi_turn, segments, wide):
 
 
 @kernel
-def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_pressed, wide, noise, rng):
+def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_pressed, wide, noise, weight, rng):
     """Move all arms toward their folded poses; return the knots of all paths and the number of steps.
 
     ``theta`` and ``psi`` are the initial poses, which are replaced by the final poses. The walk ends when all arms are
     folded, after ``n_steps`` steps, or if the sum of the remaining angles does not decrease in ``patience`` steps.
     Neighbors that block an arm give way during ``n_pressed`` steps. In the cost of a motion, neighbors with a gap below
-    ``wide`` (mm) count, and a random number between 0 and ``noise`` is added.
+    ``wide`` (mm) count, and a random number between 0 and ``noise`` is added. If ``weight`` is not 0, the arms also
+    turn to their home poses, and the cost increases by ``weight`` per step of theta that remains.
     """
     n = theta.size
     rate, psi_rate = np.zeros(n), np.zeros(n)
@@ -153,6 +154,8 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
             decided[i] = not around.free[i]
             rate[i] = psi_rate[i] = 0.0
             off = abs(around.fold[i] - (psi[i] - theta[i]))
+            if weight > 0.0:
+                off += abs(around.home[i] - theta[i])
             if around.free[i] and off > 1e-9:
                 left += 1
                 remaining += off
@@ -165,10 +168,11 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                     continue
                 phi = psi[i] - theta[i]
                 off = around.fold[i] - phi
-                if abs(off) <= 1e-9 and pressed[i] == 0:
+                away = around.home[i] - theta[i] if weight > 0.0 else 0.0
+                if abs(off) <= 1e-9 and abs(away) <= 1e-9 and pressed[i] == 0:
                     decided[i] = True
                     continue
-                toward = min(max(off, -step), step)
+                toward, back = min(max(off, -step), step), min(max(away, -step), step)
                 for k in range(around.start[i], around.start[i + 1]):
                     j = around.near[k]
                     # no gap shrinks by more than this in a step; a gap is computed again when it could be too small
@@ -181,9 +185,9 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                     gaps[k - around.start[i]] = gap
                 choose = pressed[i] > 0
                 if not choose:
-                    blocker = blocked_by(bodies, limits, around, state, i, 0.0, toward, gaps)
+                    blocker = blocked_by(bodies, limits, around, state, i, back, back + toward, gaps)
                     if blocker == -1:
-                        psi_rate[i] = toward
+                        rate[i], psi_rate[i] = back, back + toward
                     else:
                         choose = True
                         if blocker >= 0:
@@ -193,13 +197,15 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                     for u in range(3):
                         # near its limit, an arm turns exactly to the limit
                         turn = min(max(theta[i] + step * (u - 1), around.theta_low[i]), around.theta_high[i]) - theta[i]
+                        if abs(back) < step and turn * back > 0.0:
+                            turn = back
                         for v in range(3):
                             bend = toward if v == 1 else (0.0 if v == 0 else -math.copysign(step, off))
                             if v == 1 and toward == 0.0:
                                 continue
                             if not around.phi_low[i] - 1e-9 <= phi + bend <= around.phi_high[i] + 1e-9:
                                 continue
-                            cost = abs(off - bend) / step + noise * rng.random()
+                            cost = (abs(off - bend) + weight * abs(away - turn)) / step + noise * rng.random()
                             cost += nearness(bodies, limits, around, state, i, turn, turn + bend, segments, wide)
                             if (
                                 cost < lowest
@@ -244,15 +250,16 @@ def keep_separations(segments, limits, start, near, margin, out):
 
 
 @kernel
-def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, theta, psi, segments, gap):
+def place_idle(bodies, limits, around, rows, bends, wide, theta, psi, segments, gap):
     """Choose a pose of each of the idle arms ``rows``: folded if possible, and as far from other arms as possible.
 
-    Poses are tried in 24 directions from that of ``theta``, within the limits ``low`` and ``high``, for each angle of
-    ``bends`` by which the arm is less folded. Gaps of ``wide`` or more are not distinguished, and obstacles are not
-    considered. The poses, their segments and gaps are written to the last arrays; the segments of these arms must be
-    NaN before.
+    Poses are tried in 24 directions from that of ``theta``, within the joint limits, for each angle of ``bends`` by
+    which the arm is less folded. The gap of a pose is the smallest of those to other arms and obstacles; gaps of
+    ``wide`` or more are not distinguished. The poses, their segments and gaps are written to the last arrays; the
+    segments of these arms must be NaN before.
     """
     last = segments.shape[1] - 1
+    low, high, fold, obstacles = around.theta_low, around.theta_high, around.fold, around.obstacles
     for i in rows:
         home = theta[i]
         gap[i] = -math.inf
@@ -266,11 +273,17 @@ def place_idle(bodies, limits, start, near, rows, fold, bends, wide, low, high, 
                 p = a + fold[i] - math.copysign(bend, fold[i])
                 locate(bodies, a, p, i, segments, last)
                 least = wide
-                for n in range(start[i], start[i + 1]):
-                    j = near[n]
+                for n in range(around.start[i], around.start[i + 1]):
+                    j = around.near[n]
                     distance = distance_at_rest(segments, limits, last, i, j, j, limits.separation + wide)
                     if distance - limits.separation < least:  # false for NaN
                         least = distance - limits.separation
+                ends = segments[0, last], segments[1, last], segments[2, last], segments[3, last]
+                for n in range(around.o_start[i], around.o_start[i + 1]):
+                    j = around.o_near[n]
+                    radius = obstacles[j, 2] if j < obstacles.shape[0] else 0.0
+                    away = obstacle_distance(limits, obstacles, i, *ends, j) - radius
+                    least = min(least, away - around.required)
                 if least > gap[i]:
                     gap[i], theta[i], psi[i] = least, a, p
             if gap[i] > 0.1 * wide:

@@ -339,7 +339,7 @@ def surroundings(bodies, separation):
     nothing, wide = np.zeros(0), np.full(2, 99.0)
     start, free = np.array([0, 1, 2]), np.ones(2, dtype=bool)
     pairs = start, np.array([1, 0]), np.full(2, separation), np.zeros(3, int), np.zeros(0, int), nothing
-    return joint_motion.Surroundings(*pairs, np.zeros((0, 3)), 0.0, -wide, wide, -wide, wide, np.zeros(2), free)
+    return joint_motion.Surroundings(*pairs, np.zeros((0, 3)), 0.0, -wide, wide, -wide, wide, *np.zeros((2, 2)), free)
 
 
 @pytest.mark.parametrize(("y", "angles"), [(30.0, [0, 0]), (-1.5, [0, 14, 0]), (-3.5, [0, 0])])

@@ -12,6 +12,7 @@ from path_scenes import CLUSTERED, DEG, MM, SEGMENT, SMALL, Replay, targets
 from raising import refused
 
 import rfpsurvey as rs
+from rfpsurvey._instruments import find_paths as planning
 from rfpsurvey._instruments.find_paths import _Planner
 from rfpsurvey._instruments.path_arms import arms_of
 from rfpsurvey.collision import Paths, find_paths
@@ -102,6 +103,17 @@ def test_paths_of_small_planes(name, seed):
     again = find_paths(plane, plan, motion=MOTION)
     for column in ("time", "theta", "phi"):
         np.testing.assert_array_equal(getattr(paths, column), getattr(again, column))
+
+
+def test_folded_arms_that_touch_each_other_end_in_one_direction():
+    plane = SMALL["crowded"]()
+    tips = np.full((19, 2), np.nan) * MM
+    tips[7] = plane.xy[7] + [5, 20] * MM
+    paths = find_paths(plane, tips)
+    assert paths.arrives.all()
+    theta, phi = (angle[paths.start[1:] - 1].to_value(DEG) for angle in (paths.theta, paths.phi))
+    np.testing.assert_allclose(np.cos(np.deg2rad(theta - theta[0])), 1, atol=1e-12)
+    np.testing.assert_allclose(phi, 180)
 
 
 @pytest.mark.parametrize("name", ["troubles", "outlines", "capsules"])
@@ -264,6 +276,27 @@ def test_broken_arms_that_collide_do_not_prevent_paths(trouble):
     assert paths.arrives[2]
 
 
+SQUARE = np.array([[6, -1], [8, -1], [8, 1], [6, 1]])
+RING = [[7 * np.cos(angle), 7 * np.sin(angle), 2] for angle in np.arange(0, 6, 0.5)]
+
+
+@pytest.mark.parametrize("shapes", [{"obstacles": [[7, 0, 1]] * MM}, {"obstacle_polygons": [SQUARE * MM]}])
+def test_arms_without_a_target_avoid_obstacles(shapes):
+    plane = rs.FocalPlane([[0, 0], [70, 0]] * MM, rs.Positioner(8 * MM, 14 * MM, 1 * MM), **shapes)
+    paths = find_paths(plane, [[np.nan] * 2, [80, 5]] * MM)
+    assert paths.arrives.all()
+    assert Replay(plane, paths.table).to_obstacles() >= 1
+
+
+def test_obstacles_that_arms_touch_in_the_poses_of_the_plan_are_reported():
+    unit = rs.Positioner(8 * MM, 14 * MM, 1 * MM)
+    plane = rs.FocalPlane([[0, 0], [70, 0]] * MM, unit, obstacles=RING * MM)
+    paths = find_paths(plane, [[np.nan] * 2, [80, 5]] * MM)
+    assert paths.groups == ((["0"], "an arm without a target collides in all poses"),)
+    assert paths.arrives.tolist() == [False, True]
+    refused("the arm of the positioner 0 is not farther from an obstacle", find_paths, plane, [[9, 0], [80, 5]] * MM)
+
+
 def test_an_arm_that_turns_freely_is_not_locked_by_the_assumed_range():
     circles = [[3.46, -9.17, 0.51], [-2.24, -6.21, 1.94], [11.31, -9.7, 1.79]] * MM
     plane = rs.FocalPlane([[0, 0], [200, 0]] * MM, rs.Positioner(8 * MM, 14 * MM, 1 * MM), obstacles=circles)
@@ -354,3 +387,45 @@ def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
         n_locked, n_arriving = n_locked + locked, n_arriving + bool(paths.arrives[0])
     assert n_locked > len(seeds) / 8
     assert n_arriving > len(seeds) / 8
+
+
+ALONE, INTERLOCKED = "the two arms have a path without the other arms", "the two arms are interlocked"
+
+
+@pytest.mark.parametrize("seeds", [range(25), pytest.param(range(25, 150), marks=pytest.mark.exhaustive)])
+def test_verdicts_on_two_arms_agree_with_the_planner(seeds):
+    """Pairs of arms with narrow ranges of theta, in poses in which many of them cross the path of the other."""
+    found, motion = [], JointMotion(phi_range=[0, 180] * DEG)
+    for seed in seeds:
+        rng = np.random.default_rng([7, seed])
+        for _ in range(100):
+            low, width = rng.uniform(-90, 90, 2) + [0, 180], rng.uniform(5, 40, 2)
+            theta, phi = low + width * rng.random(2), rng.uniform(20, 120, 2)
+            plane = rs.FocalPlane(
+                [[0, 0], [18, 0]] * MM,
+                rs.Positioner(8 * MM, 14 * MM, 1 * MM),
+                theta_range=np.column_stack([low, low + width]) * DEG,
+            )
+            arms = rs.collision.place_arms(plane, theta=theta * DEG, phi=phi * DEG)
+            if len(rs.find_collisions(plane, arms).pairs) == 0:
+                break
+        arrives = find_paths(plane, arms, motion=motion, margin=0 * MM).arrives.all()
+        columns = plane.arrays
+        verdict = _Planner(columns, arms_of(columns, arms, motion, 0.0), 0.1, rng)._examine(np.array([0, 1]))
+        assert verdict != (INTERLOCKED if arrives else ALONE), seed
+        found.append(verdict)
+    assert found.count(INTERLOCKED) > 1
+    assert found.count(ALONE) > len(seeds) / 2
+
+
+def test_two_arms_that_only_other_arms_block_are_reported(monkeypatch):
+    """All steps, and all searches beside other arms, are suppressed."""
+    search = planning.path_search.search
+    monkeypatch.setattr(planning, "STAGES", ())
+    monkeypatch.setattr(
+        planning.path_search, "search", lambda bodies, *rest: search(bodies, *rest)[: 99 * np.isnan(bodies.x).any()]
+    )
+    plane = rs.FocalPlane([[0, 0], [22, 0], [44, 0]] * MM, SEGMENT)
+    targets = [[12, 0], [22, 12], [44, 12]] * MM
+    assert {reason for _, reason in find_paths(plane, targets).groups} == {"no path was found"}
+    assert {reason for _, reason in find_paths(plane, targets, examine=True).groups} == {ALONE}

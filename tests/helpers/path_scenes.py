@@ -93,6 +93,7 @@ def _part_of(name):
 SEGMENT = rs.Positioner(7.4 * MM, 15 * MM, 1.5 * MM, step=0.1 * DEG)
 SMALL = {
     "segments": lambda: _hexagonal(SEGMENT, 22.4),
+    "crowded": lambda: _hexagonal(rs.Positioner(11 * MM, 17 * MM, 2 * MM), 20),
     "left": lambda: _hexagonal(rs.Positioner(7.4 * MM, 15 * MM, 1.5 * MM, handedness="left"), 22.4),
     "both hands": lambda: _hexagonal(rs.Positioner(8 * MM, 8 * MM, 2 * MM, handedness="both"), 25),
     "equal arms": lambda: _hexagonal(rs.Positioner(8.25 * MM, 8.25 * MM, 2.25 * MM), 25.6),
