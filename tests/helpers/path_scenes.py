@@ -226,8 +226,8 @@ class Replay:
 
 
 def dense_plane(seed, rings=2):
-    """Return positioners whose arms reach 1.4 times their distance, and targets (mm) with priorities from 1 to 3."""
-    unit, rng = rs.Positioner(11 * MM, 17 * MM, 2 * MM), np.random.default_rng(seed)
-    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=20 * MM)
-    xy = _in_circle(rng, 2 * len(plane), 20 * rings + 25)
+    """Return positioners whose arms reach 1.8 times their distance, and targets (mm) with priorities from 1 to 3."""
+    unit, rng = rs.Positioner(14 * MM, 16.6 * MM, 1.5 * MM), np.random.default_rng(seed)
+    plane = rs.FocalPlane.hexagonal(unit, rings=rings, pitch=17 * MM)
+    xy = _in_circle(rng, 2 * len(plane), 17 * rings + 25)
     return plane, xy * MM, rng.integers(1, 4, len(xy))
