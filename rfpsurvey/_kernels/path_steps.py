@@ -105,14 +105,19 @@ def blocked_by(bodies, limits, around, state, i, turn, psi_turn, gaps):
 
 
 @kernel
-def nearness(bodies, limits, around, state, i, turn, psi_turn, segments, wide):
-    """Return the sum over the neighbors of arm i of (1 - gap / wide)^2, for gaps below ``wide`` (mm) after a motion."""
+def nearness(bodies, limits, around, state, i, turn, psi_turn, segments, gaps, wide):
+    """Return the sum over the neighbors of arm i of (1 - gap / wide)^2, for gaps below ``wide`` (mm) after a motion.
+
+    ``gaps`` contains lower limits of the distances before the motion.
+    """
     theta, psi, _, _, _ = state
     last = segments.shape[1] - 1
     locate(bodies, theta[i] + turn, psi[i] + psi_turn, i, segments, last)
-    total = 0.0
+    total, speed = 0.0, speed_of(bodies, i, turn, psi_turn)
     for n in range(around.start[i], around.start[i + 1]):
         j = around.near[n]
+        if gaps[n - around.start[i]] - around.separation[n] > wide + speed:
+            continue
         gap = distance_at_rest(segments, limits, last, i, j, j, around.separation[n] + wide) - around.separation[n]
         if gap < wide:
             total += (1.0 - max(gap, 0.0) / wide) ** 2
@@ -180,7 +185,8 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                     gap = known[k] - (t - known_at[k]) * most
                     if not gap > around.separation[k] + most + TOLERANCE:
                         ahead = around.separation[k] + LOOK_AHEAD * most
-                        gap = known[k] = min(distance_at_rest(segments, limits, i, i, j, j, ahead), ahead)
+                        distance = distance_at_rest(segments, limits, i, i, j, j, ahead)
+                        gap = known[k] = distance if distance < math.inf else ahead  # also for NaN
                         known_at[k] = t
                     gaps[k - around.start[i]] = gap
                 choose = pressed[i] > 0
@@ -206,12 +212,11 @@ def walk(bodies, limits, around, theta, psi, order, step, n_steps, patience, n_p
                             if not around.phi_low[i] - 1e-9 <= phi + bend <= around.phi_high[i] + 1e-9:
                                 continue
                             cost = (abs(off - bend) + weight * abs(away - turn)) / step + noise * rng.random()
-                            cost += nearness(bodies, limits, around, state, i, turn, turn + bend, segments, wide)
-                            if (
-                                cost < lowest
-                                and blocked_by(bodies, limits, around, state, i, turn, turn + bend, gaps) == -1
-                            ):
-                                lowest, rate[i], psi_rate[i] = cost, turn, turn + bend
+                            if cost < lowest:
+                                motion = state, i, turn, turn + bend
+                                cost += nearness(bodies, limits, around, *motion, segments, gaps, wide)
+                                if cost < lowest and blocked_by(bodies, limits, around, *motion, gaps) == -1:
+                                    lowest, rate[i], psi_rate[i] = cost, turn, turn + bend
                     pressed[i] = max(pressed[i] - 1, 0)
                 decided[i] = True
         for i in range(n):

@@ -6,8 +6,11 @@ part of these. The part ``peer`` requires kaiju (see ``kaiju_grid``).
 
 import contextlib
 import os
+import sys
 import warnings
 from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from time import process_time
 
 os.environ.setdefault("NUMBA_NUM_THREADS", "1")
@@ -25,7 +28,7 @@ from rfpsurvey._kernels import joint_motion
 
 SCENES = "uniform_1a uniform_1b uniform_2a uniform_2b uniform_5a uniform_5b".split()
 SCENES += "clustered_1 clustered_2a clustered_2b clustered_5".split()  # the numbers are targets per positioner
-FULL = {"lamost": 20, "desi": 20, "pfs": 20, "moons": 10, "sdss_apo": 20, "must": 1}
+FULL = {"sdss_apo": 20, "sdss_lco": 20, "lamost": 20, "desi": 20, "pfs": 20, "moons": 20, "must": 3}
 DESIGNS = {  # reach in units of the pitch: central arm, eccentric arm, clearance, pitch (mm)
     0.75: (8.0, 10.0, 2.0, 24.0),
     1.0: (8.0, 17.0, 2.0, 25.0),
@@ -194,17 +197,19 @@ def planned(given, densities):
             scenes = []
             for seed in range(min(n, given.n)):
                 plane, xy = make(densities[seed % len(densities)], seed)
-                # optimal takes minutes for the densest designs
-                plan = rs.allocate(plane, xy, allocator="repair" if motion is None else "optimal")
+                # without a limit, optimal takes minutes for the densest designs
+                plan = rs.allocate(plane, xy, allocator=rs.AllocationOptions("optimal", time_limit=10 * u.s))
                 scenes.append((plane, plan, motion))
             yield label, scenes
 
 
 def cases():
     for name, n in FULL.items():
-        yield name, (lambda d, seed, name=name: scene(name, d, seed)), rs.Instrument.preset(name).motion, n
+        # the positioners of sdss_lco are those of sdss_apo
+        make = partial(scene, name) if name != "sdss_lco" else (lambda d, seed: scene("sdss_lco", d, 100 + seed))
+        yield name, make, rs.Instrument.preset(name).motion, n
     for ratio, numbers in DESIGNS.items():
-        yield f"design {ratio}", (lambda d, seed, numbers=numbers: design_scene(numbers, d, seed)), None, 20
+        yield f"design {ratio}", (lambda d, seed, numbers=numbers: design_scene(numbers, d, seed)), None, 15
 
 
 def design_scene(numbers, density, seed, rings=9):
@@ -257,25 +262,40 @@ def levels(given):
 
 
 def pairs(given):
-    """Arms without a path in dense designs: how many pairs are interlocked, and the time of each examination."""
-    examine, times = planner._Planner._are_interlocked, []
-
-    def measured_examination(self, i, j):
-        found, seconds = timed(examine, self, i, j)
-        times.append((found, seconds))
-        return found
-
-    planner._Planner._are_interlocked = measured_examination
-    for ratio in (1.4, 1.8):
+    """Arms without a path in dense designs: the verdicts on pairs, and the time of each examination."""
+    examine, found = planner._Planner._examine, []
+    planner._Planner._examine = lambda self, pair: found.append(timed(examine, self, pair)) or found[-1][0]
+    for ratio in (1.4, 1.8, 2.2):
         for seed in range(6):
             plane, xy = design_scene(DESIGNS[ratio], 2, seed, 5)
             rs.collision.find_paths(plane, rs.allocate(plane, xy, allocator="repair"), examine=True)
-    planner._Planner._are_interlocked = examine
-    interlocked, seconds = np.array(times).T
-    print(f"pairs: {int(interlocked.sum())} of {len(times)} interlocked; at most {seconds.max():.1f} s")
+    planner._Planner._examine = examine
+    verdicts, seconds = zip(*found, strict=True)
+    for verdict in sorted(set(verdicts)):
+        print(f"pairs: {verdicts.count(verdict)} of {len(verdicts)}: {verdict}")
+    print(f"pairs: at most {max(seconds):.1f} s")
 
 
-PARTS = (steps, peer, instruments, growth, levels, pairs)
+def replay(given):
+    """Distances of all pairs of arms at many times, by independent code, and those of ``find_paths``."""
+    sys.path.append(str(Path(__file__).parents[1] / "helpers"))
+    from path_scenes import Replay
+
+    for label, scenes in planned(given, (1, 2, 5)):
+        least, n_pairs = [], 0
+        for plane, plan, motion in scenes:
+            paths = rs.collision.find_paths(plane, plan, motion=motion)
+            apart = Replay(plane, paths.table).closest(300)
+            separation = plane.positioner.min_separation.to_value(u.mm)
+            least.append(min(apart.values()) - separation)
+            stated = paths.smallest_distance.to_value(u.mm) - separation
+            assert least[-1] >= -1e-12
+            assert min(stated, 0.4) <= least[-1] + 1e-9
+            n_pairs += len(apart)
+        print(f"{label:<12} {len(least)} plans, {n_pairs} pairs, least gap {min(least):.5f} mm", flush=True)
+
+
+PARTS = (steps, peer, instruments, growth, levels, pairs, replay)
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
