@@ -38,7 +38,8 @@ ALLOCATION = (
 CONSTRAINTS = (
     "constraints/constraints constraints/guide_stars constraints/requirements constraints/columns "
     "constraints/keep_out constraints/user_constraint constraints/user_counts constraints/verdicts_and_fibers "
-    "constraints/idle_fibers constraints/rules constraints/design_modes constraints/distribution constraints/motion"
+    "constraints/idle_fibers constraints/rules constraints/design_modes constraints/distribution constraints/motion "
+    "input_validation"
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
@@ -57,13 +58,15 @@ TESTS = {
     "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
     "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
+    "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
     "rfpsurvey/_assignment/*": ALLOCATION,
     "rfpsurvey/_studies/run.py": "compare/instruments " + PROBABILITY,
     "rfpsurvey/_studies/methods.py": "probability/method_plugins plugins " + PROBABILITY,
     **dict.fromkeys(
         files("_studies", "collision_probability intervals question quadrature simulate targets surrogate"), PROBABILITY
     ),
-    **dict.fromkeys(files("_instruments", "arms count_collisions collision_methods"), COLLISION),
+    **dict.fromkeys(files("_instruments", "arms count_collisions"), COLLISION),
+    "rfpsurvey/_instruments/collision_methods.py": COLLISION + " collision/obstacle_polygons benchmark/benchmark",
     "rfpsurvey/_instruments/find_collisions.py": COLLISION + " allocation/repair",
     **dict.fromkeys(
         files("_instruments", "find_paths paths path_arms") + files("_kernels", "joint_motion path_search path_steps"),
