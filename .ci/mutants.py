@@ -43,7 +43,7 @@ CONSTRAINTS = (
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
-    "probability/collision_probability probability/surrogate input_validation"
+    "probability/collision_probability probability/surrogate probability/one_sky input_validation"
 )
 COUNTS = "collision/count probability/targets probability/hard_cases probability/collision_probability"
 
@@ -56,7 +56,7 @@ def files(package, names):
 TESTS = {
     "rfpsurvey/_assignment/plugin.py": "allocation/allocator_plugins plugins " + ALLOCATION,
     "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
-    "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets " + ALLOCATION,
+    "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets allocation/preselect " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
     "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
     "rfpsurvey/_assignment/*": ALLOCATION,
@@ -86,14 +86,15 @@ TESTS = {
         "selection/bits selection/work selection/potential selection/replay selection/failures selection/run "
         "selection/alternate"
     ),
-    "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets " + ALLOCATION,
+    "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets allocation/preselect " + ALLOCATION,
     "rfpsurvey/_kernels/arms.py": (
         "positioner/positioner focal_plane/focal_plane focal_plane/coverage allocation/sky allocation/allocate "
         + COLLISION
         + " probability/quadrature probability/collision_probability"
     ),
     "rfpsurvey/_kernels/batch.py": (
-        "collision/methods collision/exact_arithmetic selection/work selection/replay selection/enumeration " + COUNTS
+        "allocation/subpriority collision/methods collision/exact_arithmetic selection/work selection/replay "
+        "selection/enumeration " + COUNTS
     ),
     "rfpsurvey/_kernels/collisions.py": COLLISION + " allocation/repair probability/quadrature",
     "rfpsurvey/_kernels/conflicts.py": (
@@ -170,6 +171,8 @@ def alternatives(node, parent):
             yield changed(node, func=ast.Name(CALLS[name]))
         case ast.Call(func=ast.Attribute(attr=name)) if name in CALLS:
             yield changed(node, func=changed(node.func, attr=CALLS[name]))
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+            pass
         case ast.If() | ast.IfExp():
             yield from (changed(node, test=ast.Constant(value)) for value in (True, False))
     stored = isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Subscript | ast.Attribute)
