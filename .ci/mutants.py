@@ -59,6 +59,7 @@ TESTS = {
     "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets allocation/preselect " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
     "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
+    **dict.fromkeys(files("_assignment", "local_plans local_search"), "allocation/ejection " + ALLOCATION),
     "rfpsurvey/_assignment/*": ALLOCATION,
     "rfpsurvey/_studies/run.py": "compare/instruments " + PROBABILITY,
     "rfpsurvey/_studies/methods.py": "probability/method_plugins plugins " + PROBABILITY,

@@ -10,6 +10,7 @@ from astropy.table import vstack
 from moving import ends
 from path_scenes import CLUSTERED, DEG, MM, SEGMENT, SMALL, Replay, targets
 from raising import refused
+from scipy.ndimage import label
 
 import rfpsurvey as rs
 from rfpsurvey._instruments.find_paths import _Planner
@@ -354,3 +355,27 @@ def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
         n_locked, n_arriving = n_locked + locked, n_arriving + bool(paths.arrives[0])
     assert n_locked > len(seeds) / 8
     assert n_arriving > len(seeds) / 8
+
+
+@pytest.mark.parametrize(("x", "is_locked"), [(20.0, True), (42.0, False)])
+def test_two_arms_that_block_each_other_are_interlocked(x, is_locked):
+    """Each of two antiparallel arms would have to fold through the other one, as in a slow flood of their angles."""
+    elbows, directions = np.array([[0, 0], [x, 4]]), np.deg2rad([-60, 120])
+    centers = elbows - 8 * np.column_stack([np.cos(directions), np.sin(directions)])
+    ranges = np.rad2deg(directions)[:, None] + [-0.2, 0.2]
+    unit = rs.Positioner(8 * MM, 17 * MM, 1.8 * MM, phi_range=[59, 180] * DEG)
+    plane = rs.FocalPlane(centers * MM, unit, theta_range=ranges * DEG)
+    arms = rs.collision.place_arms(plane, theta=directions * u.rad, phi=[60, 60] * DEG)
+    np.testing.assert_allclose(arms.segments, [[0, 0, 17, 0], [x, 4, x - 17, 4]], atol=1e-12)
+    phi = np.deg2rad(np.arange(60, 181, 2.0))
+    first, second = (
+        shapely.linestrings(ends(*elbow, direction + phi, 0.0, 17.0))
+        for elbow, direction in zip(elbows, directions, strict=True)
+    )
+    apart = shapely.distance(first[:, None], second[None])
+    group = label(apart > (3.3 if is_locked else 3.9), np.ones((3, 3)))[0]  # the minimum separation is 3.6 mm
+    assert (group[0, 0] != group[-1, -1], group[0, 0] > 0, group[-1, -1] > 0) == (is_locked, True, True)
+    for examine, reason in ((False, "no path was found"), (True, "the two arms are interlocked")):
+        paths = find_paths(plane, arms, examine=examine)
+        assert list(paths.groups) == ([(["0", "1"], reason), (["1", "0"], reason)] if is_locked else [])
+        assert paths.arrives.tolist() == [not is_locked] * 2
