@@ -58,6 +58,8 @@ TESTS = {
     "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
     "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets allocation/preselect " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
+    "rfpsurvey/_assignment/allocate.py": "allocation/uses " + ALLOCATION,
+    "rfpsurvey/_assignment/allocation.py": "allocation/reasons " + ALLOCATION,
     "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "local_plans local_search"), "allocation/ejection " + ALLOCATION),
     "rfpsurvey/_assignment/*": ALLOCATION,
@@ -80,7 +82,7 @@ TESTS = {
     "rfpsurvey/_instruments/compare_projections.py": "observing/models",
     **dict.fromkeys(
         files("_sky", "conditions observed_field observed_plane"),
-        "observing/observing observing/wrong_conditions observing/models",
+        "observing/observing observing/wrong_conditions observing/models settings",
     ),
     "rfpsurvey/_sky/distortion_map.py": "projection/distortion_map",
     "rfpsurvey/_survey/selection/*": (
