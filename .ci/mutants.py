@@ -38,11 +38,12 @@ ALLOCATION = (
 CONSTRAINTS = (
     "constraints/constraints constraints/guide_stars constraints/requirements constraints/columns "
     "constraints/keep_out constraints/user_constraint constraints/user_counts constraints/verdicts_and_fibers "
-    "constraints/idle_fibers constraints/rules constraints/design_modes constraints/distribution constraints/motion"
+    "constraints/idle_fibers constraints/rules constraints/design_modes constraints/distribution constraints/motion "
+    "input_validation"
 )
 PROBABILITY = (
     "probability/closed_form probability/intervals probability/targets probability/quadrature probability/hard_cases "
-    "probability/collision_probability probability/surrogate input_validation"
+    "probability/collision_probability probability/surrogate probability/one_sky input_validation"
 )
 COUNTS = "collision/count probability/targets probability/hard_cases probability/collision_probability"
 
@@ -55,15 +56,20 @@ def files(package, names):
 TESTS = {
     "rfpsurvey/_assignment/plugin.py": "allocation/allocator_plugins plugins " + ALLOCATION,
     "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
-    "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets " + ALLOCATION,
+    "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets allocation/preselect " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
+    "rfpsurvey/_assignment/allocate.py": "allocation/uses " + ALLOCATION,
+    "rfpsurvey/_assignment/allocation.py": "allocation/reasons " + ALLOCATION,
+    "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
+    **dict.fromkeys(files("_assignment", "local_plans local_search"), "allocation/ejection " + ALLOCATION),
     "rfpsurvey/_assignment/*": ALLOCATION,
     "rfpsurvey/_studies/run.py": "compare/instruments " + PROBABILITY,
     "rfpsurvey/_studies/methods.py": "probability/method_plugins plugins " + PROBABILITY,
     **dict.fromkeys(
         files("_studies", "collision_probability intervals question quadrature simulate targets surrogate"), PROBABILITY
     ),
-    **dict.fromkeys(files("_instruments", "arms count_collisions collision_methods"), COLLISION),
+    **dict.fromkeys(files("_instruments", "arms count_collisions"), COLLISION),
+    "rfpsurvey/_instruments/collision_methods.py": COLLISION + " collision/obstacle_polygons benchmark/benchmark",
     "rfpsurvey/_instruments/find_collisions.py": COLLISION + " allocation/repair",
     **dict.fromkeys(
         files("_instruments", "find_paths paths path_arms") + files("_kernels", "joint_motion path_search path_steps"),
@@ -76,21 +82,22 @@ TESTS = {
     "rfpsurvey/_instruments/compare_projections.py": "observing/models",
     **dict.fromkeys(
         files("_sky", "conditions observed_field observed_plane"),
-        "observing/observing observing/wrong_conditions observing/models",
+        "observing/observing observing/wrong_conditions observing/models settings",
     ),
     "rfpsurvey/_sky/distortion_map.py": "projection/distortion_map",
     "rfpsurvey/_survey/selection/*": (
         "selection/bits selection/work selection/potential selection/replay selection/failures selection/run "
         "selection/alternate"
     ),
-    "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets " + ALLOCATION,
+    "rfpsurvey/_kernels/allocation.py": "collision/count probability/targets allocation/preselect " + ALLOCATION,
     "rfpsurvey/_kernels/arms.py": (
         "positioner/positioner focal_plane/focal_plane focal_plane/coverage allocation/sky allocation/allocate "
         + COLLISION
         + " probability/quadrature probability/collision_probability"
     ),
     "rfpsurvey/_kernels/batch.py": (
-        "collision/methods collision/exact_arithmetic selection/work selection/replay selection/enumeration " + COUNTS
+        "allocation/subpriority collision/methods collision/exact_arithmetic selection/work selection/replay "
+        "selection/enumeration " + COUNTS
     ),
     "rfpsurvey/_kernels/collisions.py": COLLISION + " allocation/repair probability/quadrature",
     "rfpsurvey/_kernels/conflicts.py": (
@@ -167,6 +174,8 @@ def alternatives(node, parent):
             yield changed(node, func=ast.Name(CALLS[name]))
         case ast.Call(func=ast.Attribute(attr=name)) if name in CALLS:
             yield changed(node, func=changed(node.func, attr=CALLS[name]))
+        case ast.If(test=ast.Name(id="TYPE_CHECKING")):
+            pass
         case ast.If() | ast.IfExp():
             yield from (changed(node, test=ast.Constant(value)) for value in (True, False))
     stored = isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Subscript | ast.Attribute)

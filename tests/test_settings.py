@@ -221,6 +221,11 @@ def test_equal_values_in_other_units_are_equal():
         assert rs.tiling.Fibers(min_separation=k * u.arcmin) == rs.tiling.Fibers(min_separation=60 * k * u.arcsec)
         assert rs.AllocationOptions(time_limit=k * u.ms) == rs.AllocationOptions(time_limit=k / 1000 * u.s)
     assert rs.Margins(outer=1 * u.um) != rs.Margins(outer=1.001 * u.um)
+    one, other = (
+        rs.ObservingConditions("paranal", hour_angle=0 * u.deg, guide_wavelength=wavelength * u.um)
+        for wavelength in (0.54, 0.5400001)
+    )
+    assert one != other
 
 
 @OPTIONS

@@ -290,8 +290,6 @@ def capsule_angles(columns, assigned):
 
     For positioners without a target, the fiber is the first fiber of the positioner.
     """
-    if columns.fibers is None:
-        return columns.angles
     return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
 
 

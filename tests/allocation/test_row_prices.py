@@ -1,5 +1,6 @@
 """Bounds from prices of sets of which a plan must use a number of candidates, against all plans."""
 
+from fractions import Fraction
 from itertools import pairwise, product
 
 import numpy as np
@@ -52,3 +53,25 @@ def test_the_price_of_a_minimum_lowers_the_bound():
     for n_least, expected in ((0, 3), (1, 1)):
         prices = RowPrices(start, matrix, limits, np.zeros(3, dtype=bool), n_least)
         assert prices.improve(weights, SWEEPS, lambda: False) == pytest.approx(expected, abs=0.01)
+
+
+def test_rounding_errors_do_not_lower_the_bound():
+    """The bound for given prices is compared with the same sum in rational arithmetic."""
+    rng, n, size = np.random.default_rng(1), 50, 3
+    start, free = np.arange(0, n * size + 1, size), np.zeros(n, dtype=bool)
+    n_rounded = 0
+    for _ in range(20):
+        matrix, most = csr_array((rng.random((8, n * size)) < 0.4).astype(float)), rng.integers(1, 40, 8).astype(float)
+        prices, weights = RowPrices(start, matrix, most, free, 0), rng.random(n * size)
+        prices.price[:] = rng.uniform(0, 1e6, 8)
+        exact = [Fraction(price) for price in prices.price.tolist()]
+        priced = [
+            Fraction(weight) - sum(price for price, is_in in zip(exact, column, strict=True) if is_in)
+            for weight, column in zip(weights.tolist(), matrix.toarray().T.tolist(), strict=True)
+        ]
+        expected = sum(price * int(limit) for price, limit in zip(exact, most.tolist(), strict=True))
+        expected += sum(max(priced[a:b]) for a, b in pairwise(start.tolist()))
+        assert expected <= Fraction(prices.bound(weights)) < expected * (1 + Fraction(1, 10**6))
+        total = float(prices.price @ most) + np.maximum.reduceat(np.array(list(map(float, priced))), start[:-1]).sum()
+        n_rounded += Fraction(float(total)) < expected
+    assert n_rounded > 0

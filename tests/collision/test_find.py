@@ -187,8 +187,30 @@ def test_the_capsule_is_turned_from_the_fiber():
     np.testing.assert_allclose(arms.segments[1], [107.4, 0, 100 + expected[0], -expected[1]], atol=1e-6)
 
 
+def test_the_capsule_of_an_arm_without_a_target_is_turned_from_its_first_fiber():
+    """Regression: the arm of a stuck positioner was rotated to the fiber type that was given for it."""
+    unit = rs.Positioner(
+        7.4 * MM,
+        15 * MM,
+        2 * MM,
+        arm_model="capsule",
+        arm_length=14.7 * MM,
+        arm_angle={"B": 2 * u.deg, "A": -3 * u.deg},
+    )
+    plane = rs.FocalPlane([[0, 0], [36, 0]] * MM, unit, fiber_type=["B+A", "B+A"], stuck=[[0, 0], [180, 0]] * u.deg)
+    x, y = 7.4 + 14.7 * np.cos(np.deg2rad(2)), 14.7 * np.sin(np.deg2rad(2))
+    expected = np.array([[7.4, 0, x, y], [28.6, 0, 36 - x, -y]])
+    gap = segment_distances(expected, np.array([[0, 1]]))
+    for fiber_type in (None, ["B", "B"], ["A", "A"]):
+        options = {"fiber_type": None if fiber_type is None else np.array(fiber_type)}
+        nothing = np.full((2, 2), np.nan) * MM
+        np.testing.assert_allclose(place_arms(plane, nothing, **options).segments, expected, atol=1e-9)
+        report = rs.find_collisions(plane, nothing, **options)
+        np.testing.assert_allclose(report.distances.to_value(u.mm), gap, atol=1e-9)
+
+
 def test_nearest_distance_is_that_of_brute_force(rng):
-    for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05)):
+    for plane, part in ((lamost_like(), 1.0), (sdss_like(), 0.7), (sdss_like(), 0.05), (sdss_like(), 0.0)):
         arms = place_arms(plane, random_tips(plane, rng, part))
         got, there = nearest_distance(plane, arms), np.flatnonzero(arms.present)
         assert np.isnan(got[~arms.present]).all()

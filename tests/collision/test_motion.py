@@ -8,6 +8,7 @@ from moving import arms_distance, least_distance, moving_arm, segment_distance
 from outlined import DESI_LIKE
 
 import rfpsurvey as rs
+from rfpsurvey._instruments.moves import extent
 from rfpsurvey._kernels.motion import TOLERANCE, segments_meet
 from rfpsurvey.collision import LAWS, find_motion
 
@@ -177,3 +178,23 @@ def test_arms_turn_between_all_directions_that_they_reach_from_the_parked_pose()
     assert 3 < len(reached) < len(poses)
     for before in reached:
         assert not any(find_motion(plane, pose, before=before).blocked[0] for pose in reached)
+
+
+def test_the_extent_of_outlines_is_that_of_their_farthest_vertex(rng):
+    """The distances of rotated vertices from the center are computed with complex numbers."""
+    parts = [[[-1, -2], [9, -3], [8, 1], [-1, 1]], [[0, -4], [5, -4.5], [5, -3]]]
+    outline = rs.positioner.ArmOutline([part * MM for part in parts])
+    unit = rs.Positioner(6 * MM, 8 * MM, 1 * MM, arm_model="outline", outline=outline)
+    plane = rs.FocalPlane(np.column_stack([np.arange(40) * 40, np.zeros(40)]) * MM, unit)
+    angle = rng.uniform(-np.pi, np.pi, 40)
+    vertices = np.concatenate(parts) @ [1, 1j]
+    expected = np.abs(6 + np.exp(1j * angle)[:, None] * vertices).max(axis=1)
+    np.testing.assert_allclose(extent(plane.arrays, angle, np.full(40, 9.0)), expected, rtol=1e-12)
+
+
+@pytest.mark.parametrize(("model", "touching"), [("fiber_tip", []), ("elbow_to_tip", [[0, 1]])])
+def test_only_the_part_of_a_folded_arm_that_can_collide_touches_other_folded_arms(model, touching):
+    """Folded fiber tips are within 1 mm of the centers, and the elbows are 6 mm away from them."""
+    plane = rs.FocalPlane([[0, 0], [12.5, 0]] * MM, rs.Positioner(6 * MM, 7 * MM, 1 * MM, arm_model=model))
+    arms = rs.collision.place_arms(plane, theta=[120, 60] * u.deg, phi=[120, 120] * u.deg)
+    assert find_motion(plane, arms).touching.tolist() == touching

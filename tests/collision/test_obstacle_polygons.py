@@ -21,7 +21,8 @@ POLYGONS = (
 SEGMENT = rs.Positioner(3 * u.mm, 3 * u.mm, 0.9 * u.mm)
 CAPSULE = replace(SEGMENT, arm_model="capsule", arm_length=3.8 * u.mm, arm_angle=5 * u.deg)
 THIN = replace(SEGMENT, clearance=0 * u.mm)
-UNITS = {"segment": SEGMENT, "capsule": CAPSULE, "no clearance": THIN, "outline": DESI_LIKE}
+TIP = replace(THIN, arm_model="fiber_tip")
+UNITS = {"segment": SEGMENT, "capsule": CAPSULE, "no clearance": THIN, "points": TIP, "outline": DESI_LIKE}
 
 
 def plane_of(unit: rs.Positioner) -> rs.FocalPlane:

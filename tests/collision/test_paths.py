@@ -12,7 +12,6 @@ from path_scenes import CLUSTERED, DEG, MM, SEGMENT, SMALL, Replay, targets
 from raising import refused
 
 import rfpsurvey as rs
-from rfpsurvey._instruments import find_paths as planning
 from rfpsurvey._instruments.find_paths import _Planner
 from rfpsurvey._instruments.path_arms import arms_of
 from rfpsurvey.collision import Paths, find_paths
@@ -387,45 +386,3 @@ def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
         n_locked, n_arriving = n_locked + locked, n_arriving + bool(paths.arrives[0])
     assert n_locked > len(seeds) / 8
     assert n_arriving > len(seeds) / 8
-
-
-ALONE, INTERLOCKED = "the two arms have a path without the other arms", "the two arms are interlocked"
-
-
-@pytest.mark.parametrize("seeds", [range(25), pytest.param(range(25, 150), marks=pytest.mark.exhaustive)])
-def test_verdicts_on_two_arms_agree_with_the_planner(seeds):
-    """Pairs of arms with narrow ranges of theta, in poses in which many of them cross the path of the other."""
-    found, motion = [], JointMotion(phi_range=[0, 180] * DEG)
-    for seed in seeds:
-        rng = np.random.default_rng([7, seed])
-        for _ in range(100):
-            low, width = rng.uniform(-90, 90, 2) + [0, 180], rng.uniform(5, 40, 2)
-            theta, phi = low + width * rng.random(2), rng.uniform(20, 120, 2)
-            plane = rs.FocalPlane(
-                [[0, 0], [18, 0]] * MM,
-                rs.Positioner(8 * MM, 14 * MM, 1 * MM),
-                theta_range=np.column_stack([low, low + width]) * DEG,
-            )
-            arms = rs.collision.place_arms(plane, theta=theta * DEG, phi=phi * DEG)
-            if len(rs.find_collisions(plane, arms).pairs) == 0:
-                break
-        arrives = find_paths(plane, arms, motion=motion, margin=0 * MM).arrives.all()
-        columns = plane.arrays
-        verdict = _Planner(columns, arms_of(columns, arms, motion, 0.0), 0.1, rng)._examine(np.array([0, 1]))
-        assert verdict != (INTERLOCKED if arrives else ALONE), seed
-        found.append(verdict)
-    assert found.count(INTERLOCKED) > 1
-    assert found.count(ALONE) > len(seeds) / 2
-
-
-def test_two_arms_that_only_other_arms_block_are_reported(monkeypatch):
-    """All steps, and all searches beside other arms, are suppressed."""
-    search = planning.path_search.search
-    monkeypatch.setattr(planning, "STAGES", ())
-    monkeypatch.setattr(
-        planning.path_search, "search", lambda bodies, *rest: search(bodies, *rest)[: 99 * np.isnan(bodies.x).any()]
-    )
-    plane = rs.FocalPlane([[0, 0], [22, 0], [44, 0]] * MM, SEGMENT)
-    targets = [[12, 0], [22, 12], [44, 12]] * MM
-    assert {reason for _, reason in find_paths(plane, targets).groups} == {"no path was found"}
-    assert {reason for _, reason in find_paths(plane, targets, examine=True).groups} == {ALONE}

@@ -155,6 +155,8 @@ def test_other_allocators_only_check_the_rule(field, small, allocator):
     free = rs.plan_tile(field, small, CENTER, allocator=allocator)
     assert tile.table["target_id"].tolist() == free.table["target_id"].tolist()
     assert tile.rules["verdict"].tolist() == ["fail"]
+    (limit,), n = tile.rules["limit"].tolist(), tile.summary["kinds"]["science"]["n_assigned"]
+    assert limit == f"at least 95 % of {n} fibers with 2 sky within 20 mm"
 
 
 @pytest.mark.parametrize("allocator", ["repair", "optimal"])

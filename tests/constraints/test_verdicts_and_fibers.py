@@ -8,6 +8,7 @@ from astropy.table import QTable
 from raising import refused
 
 import rfpsurvey as rs
+from scenes import two_fibers
 
 CENTER = SkyCoord("6h20m +23d")
 
@@ -33,6 +34,16 @@ def test_added_sky_positions_count_toward_the_fiber_type_that_observes_them(star
 def test_targets_without_a_fiber_type_count_by_the_fiber_that_observes_them(stars):
     tile = rs.plan_tile(stars, "sdss_apo", CENTER, allocator=rs.AllocationOptions(requirements="science@BOSS=5"))
     assert tile.rules["number"][0] == tile.summary["n_assigned"]
+    # without an image of the sky for each fiber type, targets do not receive a type before they are assigned
+    plane = two_fibers()
+    both, near = rs.Instrument("both", plane, plate_scale=200 * u.mm / u.deg), stars[:60].coord
+    near = CENTER.directional_offset_by(CENTER.position_angle(near), CENTER.separation(near) / 4)
+    for name in ("A", "B"):
+        tile = rs.plan_tile(
+            rs.Catalog(near), both, CENTER, allocator=rs.AllocationOptions(requirements=f"science@{name}=5")
+        )
+        first = np.array([types[0] for types in plane.fiber_type]) == name
+        assert tile.rules["number"][0] == (first & (tile.table["status"] == "assigned")).sum() > 5
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "optimal"])
@@ -79,22 +90,27 @@ def test_a_survey_is_not_resumed_with_other_stars_in_the_file(stars, tmp_path):
             rs.plan_survey(stars, "sdss_apo", tiles, allocator=asked, resume=True, **options)
 
 
-def test_constraints_with_the_same_text(stars):
+@pytest.mark.parametrize("radii", [(720.0, 0.0), (0.0, 720.0)])
+def test_constraints_with_the_same_text(small, radii):
     """Regression: the violations of one of two constraints with the same text were lost."""
-    sky = rs.Catalog(stars.coord, extra=QTable({"g": np.full(300, 8.0)}))
-    near = rs.Catalog(stars.coord[:3], extra=QTable({"g": np.full(3, 8.0)}))
+    star = rs.Catalog(CENTER[None], extra=QTable({"g": [8.0]}))
+    targets = rs.Catalog(CENTER.directional_offset_by([0, 120, 240] * u.deg, 0.3 * u.deg))
 
     def make(radius):
-        return rs.constraints.BrightStars("g", lambda m: np.full(m.shape, radius), stars=near, idle="counted")
+        return rs.constraints.BrightStars("g", lambda m: np.full(m.shape, radius), stars=star, idle="counted")
 
-    found = []
-    for radii in ((3000.0, 0.0), (0.0, 3000.0)):
-        rules = [make(one) for one in radii]
-        assert len({str(one) for one in rules}) == 1
-        options = rs.AllocationOptions("nearest", constraints=rules)
-        survey = rs.plan_survey(sky, "sdss_apo", CENTER[None], allocator=options)
-        found.append((survey.tiles["n_unmet"][0], [str(one) for one in survey.rules[0]]))
-    assert found[0] == found[1]
+    rules = [make(radius) for radius in radii]
+    assert len({str(rule) for rule in rules}) == 1
+    options = rs.AllocationOptions("nearest", constraints=rules)
+    tile = rs.plan_tile(targets, small, CENTER, allocator=options)
+    # 720 arcsec are 40 mm: seven idle fibers, in the center and at a distance of 25.6 mm from it
+    assert tile.rules["number"].tolist() == [7 if radius else 0 for radius in radii]
+    assert [text.removeprefix(str(rules[0])) for text in tile.summary["unmet"]] == [
+        ": 7 (no fiber in the circle of a star)"
+    ]
+    with pytest.warns(rs.RfpsurveyWarning, match="counted: 1 violation in 1 of 1 tile"):
+        survey = rs.plan_survey(targets, small, CENTER[None], allocator=options)
+    assert (survey.tiles["n_unmet"][0], survey.rules["fail"].tolist()) == (1, [1])
 
 
 @pytest.mark.parametrize("unit", ["nJy", "mm"])

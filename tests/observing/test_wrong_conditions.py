@@ -72,6 +72,14 @@ def test_times_outside_the_installed_tables_are_errors(presets, year):
         presets["moons"].projection(SkyCoord("14h +20d"), conditions=conditions)
 
 
+def test_the_first_time_is_one_day_after_the_first_row_of_the_installed_tables(presets):
+    """The first row of the tables of the IERS is that of 1973-01-02, MJD 41684."""
+    early, late = (rs.ObservingConditions("paranal", time=Time(mjd, format="mjd")) for mjd in (41684.9, 41685.4))
+    with pytest.raises(rs.InputError, match="time must be from 1973-01-03 to 20.*, got 1973-01-02T21:36"):
+        presets["moons"].projection(SkyCoord("14h +20d"), conditions=early)
+    presets["moons"].projection(SkyCoord("14h +20d"), conditions=late)
+
+
 def test_wavelengths_must_include_the_fiber_types_in_use(presets):
     conditions = rs.ObservingConditions("paranal", hour_angle=EAST, wavelength={"BOSS": 0.54 * u.um})
     field = ObservedField(field_basis(0, 0, 0), 1.0, None, conditions)

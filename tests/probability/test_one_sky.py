@@ -67,6 +67,12 @@ def test_the_variance_is_not_below_that_of_positioners_with_uncorrelated_nearest
     assert sky_variance(plane, 0.3 + 0.1 * away)[0] == pytest.approx(0.01 * floor, rel=1e-9)
 
 
+def test_without_neighbors_the_variance_is_that_of_a_mean_of_independent_values(rng):
+    plane = rs.FocalPlane.hexagonal(lamost_like(1).positioner, rings=2, pitch=100 * MM)
+    risk = rng.random(19)
+    assert sky_variance(plane, risk) == pytest.approx((np.var(risk, ddof=1) / 19, 18), rel=1e-12)
+
+
 def _share(plane):
     """Return the fraction of the neighbors that are in the nearest ring."""
     (ring, _, _), (everyone, _, _) = dense(plane, ring=True), dense(plane, ring=False)

@@ -29,6 +29,16 @@ def apart(gap=33.5, at=(0, 0)):
     return rs.FocalPlane(([[0, 0], [gap, 0], [gap / 2, gap * 0.8660254]] + np.array(at)) * MM, unit)
 
 
+@pytest.mark.parametrize(("at", "center"), [((-20, -20), (0, 0)), ((10, -20), (30, 0)), ((-60, -20), (-40, 0))])
+def test_the_circle_of_targets_is_around_the_origin_or_around_a_plane_without_the_origin(at, center):
+    places = np.array([[0, 0], [40, 0], [0, 40], [40, 40]]) + np.array(at)
+    plane = rs.FocalPlane(places * MM, lamost_like(1).positioner)
+    assert source_of(plane, "uniform", 10, 80 * MM).center == center
+    if center == (0, 0):  # also if the origin is not the midpoint
+        plane = rs.FocalPlane(np.append(places, [[60, 0]], axis=0) * MM, plane.positioner)
+        assert source_of(plane, "uniform", 10, 80 * MM).center == center
+
+
 @pytest.mark.parametrize(
     ("kind", "separation"),
     [("uniform", None), ("poisson", None), ("poisson_disc", 7.9), ("poisson_disc", 3), ("poisson_disc", 0.3)],

@@ -1,0 +1,83 @@
+"""Pairs of arms without a path: interlocked, or only blocked by other arms."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+import shapely
+from moving import ends
+from path_scenes import DEG, MM, SEGMENT
+from scipy.ndimage import label
+
+import rfpsurvey as rs
+from rfpsurvey._instruments import find_paths as planning
+from rfpsurvey._instruments.find_paths import _Planner
+from rfpsurvey._instruments.path_arms import arms_of
+from rfpsurvey.collision import find_paths
+from rfpsurvey.positioner import JointMotion
+
+MOTION = JointMotion(theta_speed=10 * DEG / u.s, phi_speed=20 * DEG / u.s)
+
+ALONE, INTERLOCKED = "the two arms have a path without the other arms", "the two arms are interlocked"
+
+
+@pytest.mark.parametrize("seeds", [range(25), pytest.param(range(25, 150), marks=pytest.mark.exhaustive)])
+def test_verdicts_on_two_arms_agree_with_the_planner(seeds):
+    """Pairs of arms with narrow ranges of theta, in poses in which many of them cross the path of the other."""
+    found, motion = [], JointMotion(phi_range=[0, 180] * DEG)
+    for seed in seeds:
+        rng = np.random.default_rng([7, seed])
+        for _ in range(100):
+            low, width = rng.uniform(-90, 90, 2) + [0, 180], rng.uniform(5, 40, 2)
+            theta, phi = low + width * rng.random(2), rng.uniform(20, 120, 2)
+            plane = rs.FocalPlane(
+                [[0, 0], [18, 0]] * MM,
+                rs.Positioner(8 * MM, 14 * MM, 1 * MM),
+                theta_range=np.column_stack([low, low + width]) * DEG,
+            )
+            arms = rs.collision.place_arms(plane, theta=theta * DEG, phi=phi * DEG)
+            if len(rs.find_collisions(plane, arms).pairs) == 0:
+                break
+        arrives = find_paths(plane, arms, motion=motion, margin=0 * MM).arrives.all()
+        columns = plane.arrays
+        verdict = _Planner(columns, arms_of(columns, arms, motion, 0.0), 0.1, rng)._examine(np.array([0, 1]))
+        assert verdict != (INTERLOCKED if arrives else ALONE), seed
+        found.append(verdict)
+    assert found.count(INTERLOCKED) > 1
+    assert found.count(ALONE) > len(seeds) / 2
+
+
+def test_two_arms_that_only_other_arms_block_are_reported(monkeypatch):
+    """All steps, and all searches beside other arms, are suppressed."""
+    search = planning.path_search.search
+    monkeypatch.setattr(planning, "STAGES", ())
+    monkeypatch.setattr(
+        planning.path_search, "search", lambda bodies, *rest: search(bodies, *rest)[: 99 * np.isnan(bodies.x).any()]
+    )
+    plane = rs.FocalPlane([[0, 0], [22, 0], [44, 0]] * MM, SEGMENT)
+    targets = [[12, 0], [22, 12], [44, 12]] * MM
+    assert {reason for _, reason in find_paths(plane, targets).groups} == {"no path was found"}
+    assert {reason for _, reason in find_paths(plane, targets, examine=True).groups} == {ALONE}
+
+
+@pytest.mark.parametrize(("x", "is_locked"), [(20.0, True), (42.0, False)])
+def test_two_arms_that_block_each_other_are_interlocked(x, is_locked):
+    """Each of two antiparallel arms would have to fold through the other one, as in a slow flood of their angles."""
+    elbows, directions = np.array([[0, 0], [x, 4]]), np.deg2rad([-60, 120])
+    centers = elbows - 8 * np.column_stack([np.cos(directions), np.sin(directions)])
+    ranges = np.rad2deg(directions)[:, None] + [-0.2, 0.2]
+    unit = rs.Positioner(8 * MM, 17 * MM, 1.8 * MM, phi_range=[59, 180] * DEG)
+    plane = rs.FocalPlane(centers * MM, unit, theta_range=ranges * DEG)
+    arms = rs.collision.place_arms(plane, theta=directions * u.rad, phi=[60, 60] * DEG)
+    np.testing.assert_allclose(arms.segments, [[0, 0, 17, 0], [x, 4, x - 17, 4]], atol=1e-12)
+    phi = np.deg2rad(np.arange(60, 181, 2.0))
+    first, second = (
+        shapely.linestrings(ends(*elbow, direction + phi, 0.0, 17.0))
+        for elbow, direction in zip(elbows, directions, strict=True)
+    )
+    apart = shapely.distance(first[:, None], second[None])
+    group = label(apart > (3.3 if is_locked else 3.9), np.ones((3, 3)))[0]  # the minimum separation is 3.6 mm
+    assert (group[0, 0] != group[-1, -1], group[0, 0] > 0, group[-1, -1] > 0) == (is_locked, True, True)
+    for examine, reason in ((False, "no path was found"), (True, "the two arms are interlocked")):
+        paths = find_paths(plane, arms, examine=examine)
+        assert list(paths.groups) == ([(["0", "1"], reason), (["1", "0"], reason)] if is_locked else [])
+        assert paths.arrives.tolist() == [not is_locked] * 2
