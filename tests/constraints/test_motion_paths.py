@@ -138,6 +138,20 @@ def test_combinations_without_paths_are_avoided_as_well_as_possible(seed, monkey
     assert plan.bound == plain.bound
 
 
+def test_arms_that_arrive_keep_their_targets_beside_arms_without_a_target_that_do_not(monkeypatch):
+    plane = rs.FocalPlane([[0, 0], [60, 0], [120, 0]] * u.mm, rs.Positioner(8 * u.mm, 12 * u.mm, 1 * u.mm))
+
+    def report_paths(plane, arms, motion):
+        late = arms.assigned & (np.arange(3) == 2)
+        groups = ((["0", "1"], "no path was found"), *((["2"], "no path was found") for _ in range(late.sum())))
+        return SimpleNamespace(paths=SimpleNamespace(groups=groups), without_path=late, n_failing=int(late.sum()))
+
+    monkeypatch.setattr(path_rounds, "report_paths", report_paths)
+    plan = rs.allocate(plane, [[75, 0], [135, 0]] * u.mm, allocator=options())
+    assert plan.target_of_positioner.tolist() == [-1, 0, -1]
+    assert plan.meta["n_lost_to_paths"] == 1
+
+
 @pytest.mark.parametrize("allocator", ["optimal", "repair"])
 @pytest.mark.parametrize("seed", [1, pytest.param(3, marks=pytest.mark.exhaustive)])
 def test_dense_planes_keep_only_targets_with_paths(allocator, seed):
