@@ -52,6 +52,20 @@ def test_a_plan_without_late_arms_does_not_change(sky, allocator):
     assert tile.paths().n_arriving == tile.summary["n_assigned"]
 
 
+def test_a_tile_returns_the_paths_of_its_plan(monkeypatch, tmp_path):
+    """In crowded planes, rounding errors of the angles change which arms arrive."""
+    instrument = rs.Instrument("dense", dense_plane(5)[0], plate_scale=200 * u.mm / u.deg)
+    field = rs.synthetic_catalog("uniform", CENTER, 0.4 * u.deg, n_targets=70, rng=1)
+    reports, report_paths = [], path_report.report_paths
+    monkeypatch.setattr(path_rounds, "report_paths", lambda *given: reports.append(report_paths(*given)) or reports[-1])
+    tile = rs.plan_tile(field, instrument, CENTER, allocator=options("repair"))
+    tile.write(tmp_path / "tile.fits")
+    for each in (tile, rs.Tile.read(tmp_path / "tile.fits")):
+        paths = each.paths(instrument)
+        assert paths.n_arriving == tile.summary["n_assigned"]
+        assert np.array_equal(paths.theta, reports[-1].paths.theta)
+
+
 def test_a_score_counts_the_positioners_without_a_path(sky):
     rule = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost_rule")
     scored = rs.score_tile(rule.table, "sdss_apo", constraints="motion paths")
