@@ -65,9 +65,13 @@ def with_paths(
 
 
 def _groups(problem, report, target_of):
-    """Return the rows of the positioners with targets in each group without a path, and of single positioners."""
+    """Return the rows of the positioners with targets in each group without a path, and of single positioners.
+
+    In a group of an arm without a target, the arm with a target may arrive. Such a group is omitted.
+    """
     row_of = {str(name): k for k, name in enumerate(problem.focal_plane.id)}
     groups = [[row_of[name] for name in ids] for ids, _ in report.paths.groups]
+    groups = [rows for rows in groups if report.without_path[rows].any()]
     groups += [[k] for k in np.flatnonzero(report.without_path) if not any(k in rows for rows in groups)]
     usable = problem.focal_plane.arrays.usable & (target_of >= 0)
     return [rows for group in groups if (rows := [k for k in group if usable[k]])]

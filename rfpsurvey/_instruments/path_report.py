@@ -1,6 +1,6 @@
 """The planned paths of the arms of a plan, and the positioners of the plan whose arms have no path."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar
 
 import astropy.units as u
@@ -46,8 +46,13 @@ class PathReport:
 
 
 def report_paths(plane: FocalPlane, arms: Arms, motion: JointMotion | None) -> PathReport:
-    """Plan paths to the poses of a plan, which may contain collisions."""
-    paths, _ = paths_to(plane, arms, motion)
+    """Plan paths to the poses of a plan, which may contain collisions.
+
+    The angles are rounded as in the table of a tile, which contains them in degrees, so that `Tile.paths` returns the
+    same paths: in crowded planes, rounding errors change which arms arrive.
+    """
+    angles = np.array([(np.rad2deg(angle) << u.deg).to_value(u.rad) for angle in (arms.theta, arms.phi)])
+    paths, _ = paths_to(plane, replace(arms, find_angles=angles.copy), motion)
     return PathReport(paths, arms.assigned & ~(paths.assigned & paths.arrives))
 
 

@@ -179,7 +179,8 @@ def collision_probability(
         )
     estimand = (estimand or "allocated") if chosen is None else chosen.estimand
     _check_density(density)
-    if dynamic != "paths":
+    is_measured = isinstance(dynamic, str) and dynamic == "paths"
+    if not is_measured:
         dynamic = float(number_within(dynamic, "dynamic", Option(low=0, below=1)))
     elif estimand != "allocated":
         raise InputError(f"dynamic='paths' requires the estimand 'allocated', got {estimand!r}")
@@ -232,7 +233,7 @@ def collision_probability(
     estimate = Estimate(
         **result, method=chosen.name, estimand=chosen.estimand, seconds=perf_counter() - start, meta=meta
     )
-    if dynamic == "paths":
+    if is_measured:
         return with_measured_paths(estimate, question, None if instrument is None else instrument.motion)
     return with_dynamic(estimate, dynamic)
 

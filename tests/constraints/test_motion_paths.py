@@ -52,6 +52,20 @@ def test_a_plan_without_late_arms_does_not_change(sky, allocator):
     assert tile.paths().n_arriving == tile.summary["n_assigned"]
 
 
+def test_a_tile_returns_the_paths_of_its_plan(monkeypatch, tmp_path):
+    """In crowded planes, rounding errors of the angles change which arms arrive."""
+    instrument = rs.Instrument("dense", dense_plane(5)[0], plate_scale=200 * u.mm / u.deg)
+    field = rs.synthetic_catalog("uniform", CENTER, 0.4 * u.deg, n_targets=70, rng=1)
+    reports, report_paths = [], path_report.report_paths
+    monkeypatch.setattr(path_rounds, "report_paths", lambda *given: reports.append(report_paths(*given)) or reports[-1])
+    tile = rs.plan_tile(field, instrument, CENTER, allocator=options("repair"))
+    tile.write(tmp_path / "tile.fits")
+    for each in (tile, rs.Tile.read(tmp_path / "tile.fits")):
+        paths = each.paths(instrument)
+        assert paths.n_arriving == tile.summary["n_assigned"]
+        assert np.array_equal(paths.theta, reports[-1].paths.theta)
+
+
 def test_a_score_counts_the_positioners_without_a_path(sky):
     rule = rs.plan_tile(sky, "sdss_apo", CENTER, allocator="lamost_rule")
     scored = rs.score_tile(rule.table, "sdss_apo", constraints="motion paths")
@@ -136,6 +150,20 @@ def test_combinations_without_paths_are_avoided_as_well_as_possible(seed, monkey
     assert best - 1 <= plan.n_assigned <= best <= plan.bound
     plain = rs.allocate(plane, xy * u.mm, allocator="optimal")
     assert plan.bound == plain.bound
+
+
+def test_arms_that_arrive_keep_their_targets_beside_arms_without_a_target_that_do_not(monkeypatch):
+    plane = rs.FocalPlane([[0, 0], [60, 0], [120, 0]] * u.mm, rs.Positioner(8 * u.mm, 12 * u.mm, 1 * u.mm))
+
+    def report_paths(plane, arms, motion):
+        late = arms.assigned & (np.arange(3) == 2)
+        groups = ((["0", "1"], "no path was found"), *((["2"], "no path was found") for _ in range(late.sum())))
+        return SimpleNamespace(paths=SimpleNamespace(groups=groups), without_path=late, n_failing=int(late.sum()))
+
+    monkeypatch.setattr(path_rounds, "report_paths", report_paths)
+    plan = rs.allocate(plane, [[75, 0], [135, 0]] * u.mm, allocator=options())
+    assert plan.target_of_positioner.tolist() == [-1, 0, -1]
+    assert plan.meta["n_lost_to_paths"] == 1
 
 
 @pytest.mark.parametrize("allocator", ["optimal", "repair"])

@@ -365,6 +365,7 @@ BAD_OPTIONS = [
     *(({"most_entries": value}, f"most_entries {WHOLE}") for value in (2.5, True)),
     *(({"confidence": value}, f"confidence {FRACTION}") for value in (0, 1, np.nan, "95%")),
     *(({"dynamic": value}, "dynamic must be a number of at least 0 and below 1") for value in (-0.1, np.nan, 1)),
+    *(({"dynamic": value}, "dynamic must be a number of at least 0") for value in ("path", np.array([0.1, 0.2]))),
     *(({"rng": value}, "rng must be") for value in ("seed", -1)),
     ({"rng": np.random.Generator(np.random.RandomState(1)._bit_generator)}, "rng must be able to spawn"),
     ({"executor": 4}, "executor must be a concurrent.futures.Executor, got 4"),
