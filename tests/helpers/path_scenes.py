@@ -115,7 +115,8 @@ class Replay:
     def __init__(self, plane, table, motion="fold"):
         self.plane, self.unit, n = plane, plane.positioner, len(plane)
         self.rows = {str(key): table[(table["motion"] == motion) & (table["positioner"] == key)] for key in plane.id}
-        self.present = np.flatnonzero([len(self.rows[str(key)]) > 0 for key in plane.id])
+        # the angles of arms that are absent are NaN
+        self.present = np.flatnonzero([np.isfinite(self.rows[str(key)]["theta"].value).any() for key in plane.id])
         self.xy = plane.xy.to_value(MM)
         self.l1 = np.full(n, self.unit.central_arm.value) if plane.central_arm is None else plane.central_arm.value
         zero = np.zeros((n, 2)) if plane.zero_points is None else plane.zero_points.to_value(u.rad)

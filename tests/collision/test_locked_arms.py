@@ -1,4 +1,4 @@
-"""Pairs of arms without a path: interlocked, or only blocked by other arms."""
+"""Arms without a path: locked arms, and verdicts on pairs of arms."""
 
 import astropy.units as u
 import numpy as np
@@ -15,7 +15,79 @@ from rfpsurvey._instruments.path_arms import arms_of
 from rfpsurvey.collision import find_paths
 from rfpsurvey.positioner import JointMotion
 
-MOTION = JointMotion(theta_speed=10 * DEG / u.s, phi_speed=20 * DEG / u.s)
+LOCKED = "locked by obstacles and joint limits"
+
+
+def flooded(plane, i, theta, phi, sign, size=0.5):
+    """Return whether cells of the angles (deg) of an arm are connected with folded cells, by plain shapes.
+
+    The arm keeps the clearance plus ``sign`` times the largest distance of a point of the arm from its position in the
+    center of its cell. The last theta is connected with the first if it differs by a full rotation.
+    """
+    unit, (x, y) = plane.positioner, plane.xy[i].to_value(MM)
+    l1, l2 = unit.central_arm.to_value(MM), unit.eccentric_arm.to_value(MM)
+    a = np.arange(theta[0], theta[1] + size / 2, size)
+    b = np.arange(0.0, 180 + size / 2, size)
+    grid = np.deg2rad(np.stack(np.meshgrid(a, b, indexing="ij")))
+    elbow = x + l1 * np.cos(grid[0]), y + l1 * np.sin(grid[0])
+    lines = shapely.linestrings(ends(*elbow, grid[0] + grid[1], 0.0, l2))
+    slack, clearance = np.deg2rad(0.5 * size) * (l1 + 2 * l2), unit.clearance.to_value(MM)
+    free = np.ones(lines.shape, dtype=bool)
+    for cx, cy, radius in plane.obstacles.to_value(MM):
+        free &= shapely.distance(lines, shapely.Point(cx, cy)) - radius >= clearance + sign * slack
+    seen = np.zeros_like(free)
+    seen[np.abs(a - phi[0]).argmin(), np.abs(b - phi[1]).argmin()] = True
+    for _ in range(free.size):
+        grown = seen.copy()
+        grown[1:] |= seen[:-1]
+        grown[:-1] |= seen[1:]
+        grown[:, 1:] |= seen[:, :-1]
+        grown[:, :-1] |= seen[:, 1:]
+        grown = grown & free | seen
+        if (grown == seen).all():
+            break
+        seen = grown
+    return seen[:, -1].any()
+
+
+@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 80), marks=pytest.mark.exhaustive)])
+def test_arms_are_locked_as_in_a_slow_flood_of_their_angles(seeds):
+    """Fiducials around an arm with a narrow range of theta leave a path to the folded pose, or none."""
+    n_locked = n_arriving = 0
+    for seed in seeds:
+        rng = np.random.default_rng([3, seed])
+        width, turn = rng.uniform(15, 120), rng.uniform(-150, 150)
+        unit = rs.Positioner(
+            8 * MM, 14 * MM, 1 * MM, theta_range=[turn, turn + width] * DEG, home=[turn + width / 2, 180] * DEG
+        )
+        for _ in range(100):
+            n = rng.integers(2, 5)
+            r, angle = rng.uniform(6, 18, n), np.deg2rad(rng.uniform(turn, turn + 300, n))
+            circles = np.column_stack([r * np.cos(angle), r * np.sin(angle), rng.uniform(0.5, 2.5, n)])
+            plane = rs.FocalPlane([[0, 0], [200, 0]] * MM, unit, obstacles=circles * MM)
+            pose = [turn + width * rng.random(), 90.0 * rng.random()]
+            arms = rs.collision.place_arms(plane, theta=[pose[0], np.nan] * DEG, phi=[pose[1], np.nan] * DEG)
+            if len(rs.find_collisions(plane, arms).obstacle_pairs) == 0:
+                break
+        else:
+            continue
+        paths = find_paths(plane, arms, motion=JointMotion(phi_range=[0, 180] * DEG))
+        possible, certain = (flooded(plane, 0, (turn, turn + width), pose, sign) for sign in (-1, 1))
+        locked = [reason for ids, reason in paths.groups if ids == ["0"]] == [LOCKED]
+        assert not (locked and certain), seed
+        assert not (paths.arrives[0] and not possible), seed
+        assert paths.arrives[0] or not certain, seed
+        columns, motion = plane.arrays, JointMotion(phi_range=[0, 180] * DEG)
+        prepared = arms_of(columns, arms, motion, 0.05)
+        proven = _Planner(columns, prepared, np.deg2rad(1), rng)._is_locked(0)  # the planner asks only if it fails
+        assert not (proven and certain), seed
+        if not flooded(plane, 0, (turn, turn + width), pose, -3):
+            assert locked, seed
+            assert proven, seed
+        n_locked, n_arriving = n_locked + locked, n_arriving + bool(paths.arrives[0])
+    assert n_locked > len(seeds) / 8
+    assert n_arriving > len(seeds) / 8
+
 
 ALONE, INTERLOCKED = "the two arms have a path without the other arms", "the two arms are interlocked"
 
