@@ -99,9 +99,10 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     print_facts(survey_facts(survey))
     if survey.joint is not None:
         last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
+        before = ", before arms without a path lose their targets" if "n_without_path" in s else ""
         print_text(
             "joint plan: for each priority, the number of visits to targets of at least this priority, and its "
-            "upper bound:"
+            f"upper bound{before}:"
         )
         print_table(last)
         levels = s["joint"]["levels"]

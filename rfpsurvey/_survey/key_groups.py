@@ -203,8 +203,8 @@ class ConstraintKeys:
     constraints : list[str], optional
         Constraints as texts: a number of targets of a kind such as 'sky=20/spectrograph', 'required ID' (a target that
         takes precedence over all others), 'keep_out RA DEC RADIUS' (deg, ICRS; a circle that no arm may cover),
-        'motion fold' (arms do not collide while they unfold), a rule such as 'magnitude COLUMN BRIGHTEST FAINTEST', or
-        a constraint of an installed package.
+        'motion paths' (arms have planned paths without collisions), 'motion fold' (arms do not collide while they
+        unfold), a rule such as 'magnitude COLUMN BRIGHTEST FAINTEST', or a constraint of an installed package.
     rules : str, optional
         Name of rules of the instrument that are added to the constraints, such as dark_monit.
     """

@@ -69,7 +69,8 @@ class Survey(Living):
         bound of ``n_visits`` in any plan without collisions), ``gap`` (1 - ``n_visits`` / ``bound``), ``seconds``
         (computing time until the end of the iteration, NaN for iterations of an earlier run; files do not contain this
         column). If there are more than eight priorities, the table contains only eight, from the highest to the lowest
-        priority. The entry ``joint`` of the summary contains the values after the last iteration.
+        priority. The entry ``joint`` of the summary contains the values after the last iteration. With the constraint
+        ``motion paths``, these are the visits before arms without a path lose their targets.
 
     Examples
     --------

@@ -10,7 +10,7 @@ import numpy as np
 
 from rfpsurvey._common.units import to_radian
 from rfpsurvey._field.tile import Tile
-from rfpsurvey.errors import InputError, number_of, refusal
+from rfpsurvey.errors import InputError, number_of, refusal, short
 from rfpsurvey.report._blocks import Facts, View, pack
 from rfpsurvey.report._views import MM, focal_plane_view
 
@@ -34,7 +34,7 @@ def check_paths(tile: object, paths: "Paths | bool | None") -> "Paths | None":
     if not (paths is True or isinstance(paths, Paths)):
         raise refusal("paths must be True or an object of the class Paths", paths, Paths)
     if not isinstance(tile, Tile):
-        raise InputError(f"paths must be given only for a Tile, got paths for a {type(tile).__name__}")
+        raise InputError(f"paths must be given only for a Tile, got paths for {short(tile)}")
     if paths is True:
         return tile.paths()
     table, plane = tile.table, paths.focal_plane

@@ -28,6 +28,10 @@ def test_the_command_prints_the_gain_and_the_bounds(call, refused, words, tmp_pa
     assert f"visits: {level['n_visits_before']} with tiles planned one after the other; " in err
     assert f"at most {survey.joint['bound'][1]} with any plan\nthe search can" in err
     assert "joint plan: for each priority, the number of visits to targets of at least this priority" in out
+    assert "lose their targets" not in out
+    paths = "--allocator joint --set joint.iterations=1 --constraint 'motion paths'"
+    out = " ".join(call(f"{words} {paths}").out.split())
+    assert "upper bound, before arms without a path lose their targets:" in out
     message = refused(f"{words} --allocator joint --set joint.fixed={{}}", tmp_path / "nothing")
     assert "nothing does not hold a survey" in message
 

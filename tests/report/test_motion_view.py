@@ -128,7 +128,7 @@ def test_wrong_paths_are_named(made, tmp_path):
     tile, paths = made
     write = lambda result, paths: lambda: rs.write_report(result, tmp_path / "page.html", paths=paths)  # noqa: E731
     refused("paths must be True or an object of the class Paths, got 'all'", write(tile, "all"))
-    refused("paths must be given only for a Tile, got paths for a QTable", write(paths.table, paths))
+    refused("paths must be given only for a Tile, got paths for a QTable of", write(paths.table, paths))
     other = replace(paths.focal_plane, id=np.char.add(paths.focal_plane.id, "x"))
     words = "paths must belong to the 500 positioners of the tile, got paths of 500 positioners of another focal plane"
     refused(words, write(tile, replace(paths, focal_plane=other)))
