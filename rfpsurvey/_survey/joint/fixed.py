@@ -86,6 +86,10 @@ class JointOptions(Settings):
     allocator : AllocationOptions or str, optional
         The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
         requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
+    objective : {"visits", "finished"}, optional
+        What the search maximizes, one priority after the other: the number of visits, or the number of targets that
+        receive all their requested visits (visits that were already made count). With ``finished``, further visits are
+        added only where no finished target is lost. Cadences are always completed first.
     early : bool, optional
         Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
         subpriorities if there are any, are compared. This option has no effect with cadences.
@@ -118,6 +122,7 @@ class JointOptions(Settings):
     patch_size: int = option(800, low=10, high=100_000)
     allocator: AllocationOptions | str = option("optimal", convert=_check_first, record=None)
     early: bool = option(False, sparse=True)
+    objective: str = option("visits", choices=("visits", "finished"), sparse=True)
 
     @property
     def seconds(self) -> float:
