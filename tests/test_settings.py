@@ -67,6 +67,7 @@ VALUES = {
         "patch_size": st.integers(10, 1000),
         "allocator": st.just("optimal"),
         "early": st.booleans(),
+        "objective": choices("finished"),
     },
     rs.survey.VisitRule: {
         "visits": st.integers(0, 255),

@@ -27,7 +27,7 @@ from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
-from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences
+from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences, warn_of_objective
 from rfpsurvey._survey.plan_file import write_call
 from rfpsurvey._survey.request import ORDERS, Request, make_request
 from rfpsurvey._survey.run import run
@@ -234,6 +234,8 @@ def prepare_request(
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
+    elif joint is not None and joint.objective == "finished":
+        warn_of_objective(joint, has_subpriorities=asked.subpriority is not None)
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     options, seed = asked.for_instrument(instrument), to_seed(rng)

@@ -1,7 +1,10 @@
 """Joint plans that finish targets, compared with an integer program that contains all tiles of a small survey."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from astropy.table import QTable
 from joint_program import counts_by_tile, kinds_of, program_of, survey_with
 
 import rfpsurvey as rs
@@ -101,3 +104,32 @@ def test_visits_of_fixed_tiles_count(seeds):
         n_only_fixed += bool((catalog.visits[rows] == 1).any())
     assert n_cases > 0.5 * len(seeds)
     assert n_only_fixed
+
+
+def test_options_without_effect_are_named():
+    instrument, tiles, catalog, options, _ = survey_with(3, "science")
+    options = replace(options, subpriority=1)
+    joint = rs.JointOptions(objective="finished", early=True, iterations=1, allocator=options)
+    with (
+        pytest.warns(rs.errors.RfpsurveyWarning, match="early has no effect with the objective 'finished'"),
+        pytest.warns(rs.errors.RfpsurveyWarning, match="subpriority has no effect with the objective 'finished'"),
+    ):
+        rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+    with pytest.raises(rs.errors.InputError, match="unknown objective 'targets'; choose one of: finished, visits"):
+        rs.JointOptions(objective="targets")
+
+
+def test_a_stored_survey_is_the_same_and_can_be_planned_again(tmp_path):
+    """A folder contains the objective; after observations, the visits that were made count."""
+    instrument, tiles, catalog, options, _ = survey_with(12, "science")
+    joint = rs.JointOptions(objective="finished", iterations=2, allocator=options)
+    survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint, folder=tmp_path / "s")
+    plain = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+    for one, other in zip(survey, plain, strict=True):
+        assert np.array_equal(one["target_row"], other["target_row"])
+    again = rs.survey.continue_survey(tmp_path / "s")
+    assert again.summary["joint"] == survey.summary["joint"]
+    survey.record(QTable({"tile": [0], "state": ["done"], "date": ["2026-02-01"]}))
+    replanned = survey.replan()
+    done = (np.asarray(replanned.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)
+    assert done.sum() >= ((np.asarray(survey.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)).sum()

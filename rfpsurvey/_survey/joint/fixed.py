@@ -150,6 +150,12 @@ def check_for_cadences(joint: JointOptions) -> None:
         warn_no_effect("early", "with cadences")
 
 
+def warn_of_objective(joint: JointOptions, *, has_subpriorities: bool) -> None:
+    """Issue a warning for each option that has no effect if targets are to be finished."""
+    for name in ["early"] * joint.early + ["subpriority"] * has_subpriorities:
+        warn_no_effect(name, "with the objective 'finished'")
+
+
 def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None]:
     """Return the options of the tiles, and the options of the joint plan, if one is requested."""
     if isinstance(allocator, str) and allocator == JOINT:
