@@ -128,7 +128,7 @@ class JointProgram:
         for k, (indices, values) in enumerate(self.rows):
             matrix[k, indices] = values
         constraints = LinearConstraint(matrix, self.low, self.high)
-        return milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
+        return milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1), options={"mip_rel_gap": 0})
 
     def extend(self, number):
         """Add variables that are no candidates, and return their indices."""

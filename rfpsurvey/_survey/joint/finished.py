@@ -75,11 +75,12 @@ class FinishedSearch(WindowSearch):
     def iterate(self, executor: Executor | None) -> None:
         """Run one iteration: moves, and integer programs for patches, or one for each level with a gap."""
         self._improve(PASSES)
-        if len(self.network.target) <= MOST_OF_ALL:
+        is_small = len(self.network.target) <= MOST_OF_ALL
+        if is_small:
             self._solve_all()
-        elif not self.out_of_time():
-            if self.iteration == 0:
-                self._bound_together()
+        if self.iteration == 0:
+            self._bound_together()
+        if not is_small and not self.out_of_time():
             self._solve_patches(executor)
         self.iteration += 1
         self._record()
@@ -89,16 +90,19 @@ class FinishedSearch(WindowSearch):
         network, one_patch = self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64)
         patches = Patches(network, one_patch)
         whole = bool(network.usable.all() and not network.free.any())
-        for k in np.flatnonzero((self.counts[:, 0] < self.bounds_complete) & ~self._is_proven):
-            if self.out_of_time():
-                break
+        gains = {k: (np.arange(network.n_classes) <= level).astype(float) for k, level in enumerate(self.levels)}
+        if network.n_classes > 1:  # first the plan that is best in the order of the classes
+            gains = {-1: self._class_weights(), **gains}
+        for k, weights in gains.items():
+            is_open = (self.counts[:, 0] < self.bounds_complete) & ~self._is_proven
+            if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
+                continue
             deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
-            # first the plan with the best classes; its bound is that of the first level
-            gains = [self._class_weights(), *[(np.arange(network.n_classes) <= self.levels[k]).astype(float)]]
-            for weights in gains[(0 if k == 0 else 1) :] if network.n_classes > 1 else gains[1:]:
-                problem = self._program(patches, 0, weights, deadline, NODES_OF_ALL)
-                chosen, bound = solve_weighted(problem[1])
-                self._take(patches.members[0], problem, chosen)
+            problem = self._program(patches, 0, weights, deadline, NODES_OF_ALL)
+            chosen, bound = solve_weighted(problem[1])
+            self._take(patches.members[0], problem, chosen)
+            if k < 0:
+                continue
             if whole and np.isfinite(bound):
                 self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound))
             self._is_proven[k] = True  # further iterations use only moves
