@@ -25,8 +25,9 @@ from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_o
 # Number of candidates of a patch, in units of the option ``patch_size``; number of candidates up to which one program
 # contains all tiles; and weight of all visits, in units of a finished target of the last class.
 SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
-# Largest number of nodes of a program of a patch and of all tiles, and largest ratio of the weights of two classes.
-NODES, NODES_OF_ALL, STEEPEST = 100, 3_000, 1e4
+# Largest number of nodes of a program of a patch; product of the largest number of nodes and the number of candidates of
+# a program of all tiles; and largest ratio of the weights of two classes.
+NODES, EFFORT, STEEPEST = 100, 2e8, 1e4
 # Fraction of the remaining time for a program of all tiles.
 FOR_ALL = 0.5
 
@@ -98,7 +99,7 @@ class FinishedSearch(WindowSearch):
             if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
                 continue
             deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
-            problem = self._program(patches, 0, weights, deadline, NODES_OF_ALL)
+            problem = self._program(patches, 0, weights, deadline, int(EFFORT / len(network.target)))
             chosen, bound = solve_weighted(problem[1])
             self._take(patches.members[0], problem, chosen)
             if k < 0:
