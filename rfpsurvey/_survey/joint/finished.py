@@ -28,8 +28,8 @@ SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
 # Largest number of nodes of a program of a patch; product of the largest number of nodes and the number of candidates of
 # a program of all tiles; and largest ratio of the weights of two classes.
 NODES, EFFORT, STEEPEST = 100, 2e8, 1e4
-# Fraction of the remaining time for a program of all tiles.
-FOR_ALL = 0.5
+# Fraction of the remaining time for the programs of all tiles.
+FOR_ALL = 0.8
 
 
 class FinishedSearch(WindowSearch):
@@ -98,7 +98,8 @@ class FinishedSearch(WindowSearch):
             is_open = (self.counts[:, 0] < self.bounds_complete) & ~self._is_proven
             if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
                 continue
-            deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
+            n_open = 1 if k < 0 else int(is_open[k:].sum())
+            deadline = time() + FOR_ALL / n_open * min(self._limit - self.seconds, 1e9)
             problem = self._program(patches, 0, weights, deadline, int(EFFORT / len(network.target)))
             chosen, bound = solve_weighted(problem[1])
             self._take(patches.members[0], problem, chosen)
