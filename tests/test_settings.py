@@ -68,6 +68,7 @@ VALUES = {
         "allocator": st.just("optimal"),
         "early": st.booleans(),
         "objective": choices("finished"),
+        "share": st.none(),
     },
     rs.survey.VisitRule: {
         "visits": st.integers(0, 255),

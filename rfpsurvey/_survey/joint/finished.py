@@ -20,12 +20,13 @@ from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
+from rfpsurvey._survey.joint.shares import Shares, solve_balanced
 from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_of
 
 # Number of candidates of a patch, in units of the option ``patch_size``; number of candidates up to which one program
 # contains all tiles; and weight of all visits, in units of a finished target of the last class.
 SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
-# Largest number of nodes of a program of a patch; product of the largest number of nodes and the number of candidates of
+# Largest number of nodes of a program of a patch; product of the number of candidates and the largest number of nodes of
 # a program of all tiles; and largest ratio of the weights of two classes.
 NODES, EFFORT, STEEPEST = 100, 2e8, 1e4
 # Fraction of the remaining time for the programs of all tiles.
@@ -36,7 +37,9 @@ class FinishedSearch(WindowSearch):
     """A plan of all tiles that finishes targets, and upper bounds; the parameters are those of `Search`."""
 
     def __init__(self, network: Network, chosen: np.ndarray, request, directions: np.ndarray):
-        self._directions, self._is_proven = directions, np.zeros(0, dtype=bool)
+        self._directions, self.bound_of_smallest = directions, np.inf
+        category = request.source.by_slot("category")
+        self.shares = Shares.of(request.joint.share, category, network) if request.joint.share else None
         super().__init__(network, _without_unfinished(network, chosen), request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
 
@@ -64,7 +67,7 @@ class FinishedSearch(WindowSearch):
 
     @property
     def _may_end(self) -> bool:
-        return True
+        return self.shares is None or self.iteration > 0
 
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of finished targets and of visits of a level."""
@@ -75,13 +78,16 @@ class FinishedSearch(WindowSearch):
 
     def iterate(self, executor: Executor | None) -> None:
         """Run one iteration: moves, and integer programs for patches, or one for each level with a gap."""
-        self._improve(PASSES)
+        if self.shares is None:
+            self._improve(PASSES)
         is_small = len(self.network.target) <= MOST_OF_ALL
-        if is_small:
+        if self.shares is not None:
+            self._balance(is_small)
+        elif is_small:
             self._solve_all()
         if self.iteration == 0:
             self._bound_together()
-        if not is_small and not self.out_of_time():
+        if self.shares is None and not is_small and not self.out_of_time():
             self._solve_patches(executor)
         self.iteration += 1
         self._record()
@@ -109,6 +115,29 @@ class FinishedSearch(WindowSearch):
                 self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound))
             self._is_proven[k] = True  # further iterations use only moves
 
+    def _balance(self, is_small: bool) -> None:
+        """Increase the smallest finished fractions of the categories, by a program for all tiles or for patches."""
+        network, label = self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64)
+        if is_small and self.iteration > 0:
+            return
+        if not is_small:
+            rng = np.random.default_rng([self.request.seed, self.iteration, 3])
+            label = divide(network, self._directions, SIZE * int(self.options.patch_size), rng)
+        patches, rounds = Patches(network, label), len(self.shares.names) if is_small else 1
+        for k in range(patches.n):
+            if self.out_of_time():
+                break
+            seconds = min(self._limit - self.seconds, 1e9) * (FOR_ALL / (rounds + 1) if is_small else 1.0)
+            nodes = int(EFFORT / len(network.target)) if is_small else NODES
+            problem = self._program(patches, k, self._class_weights(), time() + seconds, nodes)
+            outside = np.zeros(len(network.slot), dtype=bool) | (_finished(network, self.chosen)[:, 0] > 0)
+            outside[problem[2]] = False
+            given = problem[2], self.shares, self.shares.count(outside), rounds, now() + seconds * (rounds + 1)
+            chosen, bound = solve_balanced(problem[1], *given)
+            self._take(patches.members[k], problem, chosen)
+            if is_small and network.usable.all() and not network.free.any():
+                self.bound_of_smallest = bound
+
     def _bound_together(self) -> None:
         """Find a smaller upper bound for each level with a gap, by a program in which equal tiles are one tile."""
         network = self.network
@@ -130,7 +159,7 @@ class FinishedSearch(WindowSearch):
                 break
             deadline = time() + self._limit - self.seconds
             problems = [self._program(patches, k, self._class_weights(), deadline, NODES) for k in group]
-            results = map_in_order(executor, solve_weighted, [problem for _, problem in problems])
+            results = map_in_order(executor, solve_weighted, [problem for _, problem, _ in problems])
             for k, problem, (chosen, _) in zip(group, problems, results, strict=True):
                 self._take(patches.members[k], problem, chosen)
 
@@ -141,7 +170,7 @@ class FinishedSearch(WindowSearch):
         return ratio ** np.arange(n - 1, -1, -1.0)
 
     def _program(self, patches, k, weights, deadline, nodes):
-        """Return the candidates of a patch, and the program that finishes targets by visits of its positioners."""
+        """Return the candidates of a patch, the program that finishes targets by its visits, and these targets."""
         network, n_classes = self.network, self.network.n_classes
         load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         limits = np.append(network.most, self.limits)
@@ -174,7 +203,7 @@ class FinishedSearch(WindowSearch):
         first = np.append(problem.first, n + 2 * np.arange(m) + ~done)
         gap = 0.5 * tie / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1.0)
         most = np.append(problem.most, np.zeros(m))
-        return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline)
+        return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline), goals
 
     def _take(self, members, problem, chosen) -> None:
         """Use the result of a program if the plan that it gives finishes at least as many targets, class by class."""
@@ -185,9 +214,24 @@ class FinishedSearch(WindowSearch):
         network = self.network
         load = network.columns @ np.bincount(new, minlength=len(network.target)).astype(float)
         keeps = (load <= np.append(network.most, self.limits) + path_kernels.TOLERANCE).all()
-        values = [_by_class(network, plan) for plan in (self.chosen, new)]
+        values = [self._value(plan) for plan in (self.chosen, new)]
         if keeps and tuple(values[1]) >= tuple(values[0]):
             self._use(new)
+
+    def _value(self, chosen) -> tuple:
+        """Return the values of a plan in the order of their importance."""
+        values = tuple(_by_class(self.network, chosen))
+        if self.shares is None:
+            return values
+        number = self.shares.count(_finished(self.network, chosen)[:, 0])
+        return *np.sort(np.round(self.shares.fractions(number), 9)), *values
+
+    @property
+    def record(self) -> dict:
+        """The finished targets of each category for the summary, if there are shares."""
+        if self.shares is None:
+            return {}
+        return self.shares.record(_finished(self.network, self.chosen)[:, 0], self.bound_of_smallest)
 
     def _use(self, chosen) -> None:
         """Replace the plan."""

@@ -23,6 +23,7 @@ from rfpsurvey._field.targets import FieldBuilder
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._sky.arrays import SkyIndex, has_role
 from rfpsurvey._sky.time import to_time
+from rfpsurvey._survey.joint.shares import weights_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import places_of_tiles, when_of
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -90,6 +91,10 @@ class JointOptions(Settings):
         What the search maximizes, one priority after the other: the number of visits, or the number of targets that
         receive all their requested visits (visits that were already made count). With ``finished``, further visits are
         added only where no finished target is lost. Cadences are always completed first.
+    share : str, optional
+        Only with the objective ``finished``: ``category``, or weights such as ``"main=2 guest=1"``. The smallest
+        finished fraction of the categories of the catalog, divided by its weight (1 by default), is maximized first,
+        then the next one. Priorities count after these fractions.
     early : bool, optional
         Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
         subpriorities if there are any, are compared. This option has no effect with cadences.
@@ -123,6 +128,13 @@ class JointOptions(Settings):
     allocator: AllocationOptions | str = option("optimal", convert=_check_first, record=None)
     early: bool = option(False, sparse=True)
     objective: str = option("visits", choices=("visits", "finished"), sparse=True)
+    share: str | None = option(None, words="'category' or weights of categories", sparse=True)
+
+    def _check(self):
+        if self.share is not None:
+            weights_in(self.share)
+            if self.objective != "finished":
+                raise InputError(f"share can be given only with the objective 'finished', got {self.objective!r}")
 
     @property
     def seconds(self) -> float:

@@ -358,5 +358,5 @@ def table_of(search: Search, names: list[str]) -> QTable:
             level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
         levels.append(level)
     gap = max(level["gap"] for level in levels)
-    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap}
+    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap, **search.record}
     return table
