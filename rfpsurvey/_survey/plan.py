@@ -27,7 +27,7 @@ from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
-from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences, warn_of_objective
+from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences
 from rfpsurvey._survey.plan_file import write_call
 from rfpsurvey._survey.request import ORDERS, Request, make_request
 from rfpsurvey._survey.run import run
@@ -35,7 +35,16 @@ from rfpsurvey._survey.source import InMemory, Partitioned, first_visits, in_mem
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import times_of_tiles, warn_of_programs, warn_of_targets
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    short,
+    warn,
+    warn_no_effect,
+)
 
 log = logging.getLogger("rfpsurvey")
 
@@ -235,7 +244,8 @@ def prepare_request(
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
     elif joint is not None and joint.objective == "finished":
-        warn_of_objective(joint, has_subpriorities=asked.subpriority is not None)
+        for name in ["early"] * joint.early + ["subpriority"] * (asked.subpriority is not None):
+            warn_no_effect(name, "with the objective 'finished'")
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     options, seed = asked.for_instrument(instrument), to_seed(rng)

@@ -1,6 +1,7 @@
 """Finished targets of joint plans that maximize visits or finished targets (page on joint plans).
 
-Run ``python tests/benchmarks/finished_figures.py``, which takes about ten minutes.
+Run ``python tests/benchmarks/finished_figures.py``, which takes about ten minutes. With ``--share``, it prints the
+finished fractions of three categories with and without shares.
 """
 
 import warnings
@@ -45,9 +46,25 @@ def measured(objective, seconds, catalog, pfs, tiles):
     return int((made >= catalog.visits).sum()), int(made.sum()), bound, spent
 
 
+def print_shares(seconds):
+    """Print the finished fractions of three categories, whose targets need different numbers of visits."""
+    catalog, pfs, tiles = scene(7182, 5, 2394, 7)
+    category = np.random.default_rng(1).choice(["main", "guest", "filler"], len(catalog), p=[0.6, 0.25, 0.15])
+    visits = np.where(category == "main", np.maximum(catalog.visits, 2), 1)
+    catalog = replace(catalog, category=category, visits=visits)
+    for share in (None, "category"):
+        joint = rs.JointOptions(objective="finished", share=share, time_limit=seconds * u.s)
+        survey = rs.plan_survey(catalog, pfs, tiles, allocator=joint)
+        done = np.asarray(survey.outcomes["observed"]) >= visits
+        fractions = {name: round(float(done[category == name].mean()), 4) for name in ("main", "guest", "filler")}
+        print(f"share {share}: {fractions}, bound {survey.summary['joint'].get('bound_of_smallest')}", flush=True)
+
+
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
-    given = arguments(__doc__, seconds=60.0, large=240.0)
+    given = arguments(__doc__, seconds=60.0, large=240.0, share=False)
+    if given.share:
+        raise SystemExit(print_shares(given.large))
     scenes = [(given.seconds, {"n": n, "seed": seed}) for n, seed in SMALL]
     scenes += [(given.large, {"n": 7182, "seed": seed, "n_cobras": 2394, "exposures": 7}) for seed in (5, 6)]
     measured("finished", 1.0, *scene(320, 1))

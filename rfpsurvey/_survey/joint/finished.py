@@ -20,14 +20,14 @@ from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
-from rfpsurvey._survey.joint.shares import Shares, solve_balanced
+from rfpsurvey._survey.joint.shares import UNITS, Shares, solve_balanced
 from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_of
 
 # Number of candidates of a patch, in units of the option ``patch_size``; number of candidates up to which one program
 # contains all tiles; and weight of all visits, in units of a finished target of the last class.
 SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
-# Largest number of nodes of a program of a patch; product of the number of candidates and the largest number of nodes of
-# a program of all tiles; and largest ratio of the weights of two classes.
+# Largest number of nodes of a program of a patch; the same times the number of candidates, for a program of all tiles;
+# and largest ratio of the weights of two classes.
 NODES, EFFORT, STEEPEST = 100, 2e8, 1e4
 # Fraction of the remaining time for the programs of all tiles.
 FOR_ALL = 0.8
@@ -78,17 +78,20 @@ class FinishedSearch(WindowSearch):
 
     def iterate(self, executor: Executor | None) -> None:
         """Run one iteration: moves, and integer programs for patches, or one for each level with a gap."""
-        if self.shares is None:
+        if self.shares is None or self.iteration == 0:
+            before = self.chosen.copy()
             self._improve(PASSES)
+            if self._value(self.chosen) < self._value(before):  # moves do not consider shares
+                self._use(before)
         is_small = len(self.network.target) <= MOST_OF_ALL
-        if self.shares is not None:
-            self._balance(is_small)
-        elif is_small:
-            self._solve_all()
         if self.iteration == 0:
             self._bound_together()
-        if self.shares is None and not is_small and not self.out_of_time():
+        if self.shares is not None:
+            self._balance(is_small)
+        elif (self.gaps > self.options.gap).any():
             self._solve_patches(executor)
+            if is_small:
+                self._solve_all()
         self.iteration += 1
         self._record()
 
@@ -136,7 +139,7 @@ class FinishedSearch(WindowSearch):
             chosen, bound = solve_balanced(problem[1], *given)
             self._take(patches.members[k], problem, chosen)
             if is_small and network.usable.all() and not network.free.any():
-                self.bound_of_smallest = bound
+                self.bound_of_smallest = min(self.bound_of_smallest, bound)
 
     def _bound_together(self) -> None:
         """Find a smaller upper bound for each level with a gap, by a program in which equal tiles are one tile."""
@@ -144,6 +147,10 @@ class FinishedSearch(WindowSearch):
         if not network.usable.all() or network.free.any():
             return
         together = _EqualTiles(network)
+        if self.shares is not None and not self.out_of_time():
+            end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / 2
+            bound = together.bound(network.n_classes - 1, end, self.shares)
+            self.bound_of_smallest = min(self.bound_of_smallest, bound)
         for k in np.flatnonzero(self.counts[:, 0] < self.bounds_complete):
             if not self.out_of_time():
                 bound = together.bound(self.levels[k], now() + FOR_ALL * min(self._limit - self.seconds, 1e9))
@@ -279,8 +286,11 @@ class _EqualTiles:
         self.rows = np.concatenate([np.arange(first[same[0]], first[same[0] + 1]) for same in tiles.values()])
         self.times = np.concatenate([np.full(first[k[0] + 1] - first[k[0]], len(k)) for k in tiles.values()])
 
-    def bound(self, level: int, deadline: float) -> float:
-        """Return an upper bound of the number of finished targets of the classes up to a level."""
+    def bound(self, level: int, deadline: float, shares: Shares | None = None) -> float:
+        """Return an upper bound of the number of finished targets of the classes up to a level.
+
+        With ``shares``, return an upper bound of the smallest finished fraction of the categories.
+        """
         network, times = self.network, self.times.astype(float)
         rows = self.rows
         real = network.rank[rows] < network.n_classes
@@ -303,10 +313,19 @@ class _EqualTiles:
         top = vstack([single, cliques])
         matrix = vstack([hstack([top, csr_array((top.shape[0], m))]), hstack([visits, link])], format="csr")
         high = np.append(limits, np.zeros(m))
-        program = matrix, np.full(len(high), -np.inf), high
         goal, most = np.append(np.zeros(n), np.ones(m)), np.append(times, np.ones(m))
+        if shares is not None:
+            count = csr_array(
+                (np.full(m, -1.0), (shares.group[goals], n + np.arange(m))), shape=(len(shares.size), n + m)
+            )
+            unit = csr_array((shares.size * shares.weight / UNITS)[:, None])
+            matrix = vstack([hstack([matrix, csr_array((len(high), 1))]), hstack([count, unit])], format="csr")
+            high = np.append(high, np.zeros(len(shares.size)))
+            goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
+        program = matrix, np.full(len(high), -np.inf), high
         _, bound = maximize(program, goal, most, deadline, integral=True, gap=0.0, presolve=True)
-        return with_errors(bound, n + m)
+        bound = with_errors(bound, n + m)
+        return bound if shares is None else (bound + 1.0) / UNITS
 
 
 def _largest(matrix, values):

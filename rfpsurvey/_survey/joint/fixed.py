@@ -88,9 +88,8 @@ class JointOptions(Settings):
         The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
         requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
     objective : {"visits", "finished"}, optional
-        What the search maximizes, one priority after the other: the number of visits, or the number of targets that
-        receive all their requested visits (visits that were already made count). With ``finished``, further visits are
-        added only where no finished target is lost. Cadences are always completed first.
+        What is maximized, one priority after the other: the number of visits, or that of targets with all requested
+        visits (those that were already made count). Cadences are always completed first.
     share : str, optional
         Only with the objective ``finished``: ``category``, or weights such as ``"main=2 guest=1"``. The smallest
         finished fraction of the categories of the catalog, divided by its weight (1 by default), is maximized first,
@@ -160,12 +159,6 @@ def check_for_cadences(joint: JointOptions) -> None:
         raise InputError("fixed must not be given for a joint plan with cadences")
     if joint.early:
         warn_no_effect("early", "with cadences")
-
-
-def warn_of_objective(joint: JointOptions, *, has_subpriorities: bool) -> None:
-    """Issue a warning for each option that has no effect if targets are to be finished."""
-    for name in ["early"] * joint.early + ["subpriority"] * has_subpriorities:
-        warn_no_effect(name, "with the objective 'finished'")
 
 
 def as_joint(allocator: object, order: object) -> tuple[AllocationOptions, JointOptions | None]:
