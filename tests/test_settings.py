@@ -67,6 +67,8 @@ VALUES = {
         "patch_size": st.integers(10, 1000),
         "allocator": st.just("optimal"),
         "early": st.booleans(),
+        "objective": choices("finished"),
+        "share": st.none(),
     },
     rs.survey.VisitRule: {
         "visits": st.integers(0, 255),

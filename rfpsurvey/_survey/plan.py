@@ -35,7 +35,16 @@ from rfpsurvey._survey.source import InMemory, Partitioned, first_visits, in_mem
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import times_of_tiles, warn_of_programs, warn_of_targets
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
-from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, check_switch, short, warn
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_choice,
+    check_keywords,
+    check_switch,
+    short,
+    warn,
+    warn_no_effect,
+)
 
 log = logging.getLogger("rfpsurvey")
 
@@ -234,6 +243,9 @@ def prepare_request(
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
+    elif joint is not None and joint.objective == "finished":
+        for name in ["early"] * joint.early + ["subpriority"] * (asked.subpriority is not None):
+            warn_no_effect(name, "with the objective 'finished'")
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     options, seed = asked.for_instrument(instrument), to_seed(rng)

@@ -9,6 +9,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 import rfpsurvey as rs
 from brute import bodies_of, conflicts_of, options_of
+from rfpsurvey._sky.arrays import has_role
 from scenes import random_plane
 
 MM = u.mm
@@ -127,7 +128,7 @@ class JointProgram:
         for k, (indices, values) in enumerate(self.rows):
             matrix[k, indices] = values
         constraints = LinearConstraint(matrix, self.low, self.high)
-        return milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1))
+        return milp(-weights, constraints=constraints, integrality=1, bounds=Bounds(0, 1), options={"mip_rel_gap": 0})
 
     def extend(self, number):
         """Add variables that are no candidates, and return their indices."""
@@ -144,3 +145,37 @@ class JointProgram:
         """Return the largest number of visits of each priority and all higher priorities."""
         levels = [self.hits[: k + 1].sum(axis=0) for k in range(len(self.classes))]
         return np.array([weights @ self.maximize(weights) for weights in levels])
+
+
+def kinds_of(part):
+    """Return the roles in which a tile observes its targets."""
+    return np.asarray(part["kind"]) if "kind" in part.colnames else np.full(len(part), "science")
+
+
+def counts_by_tile(survey, needs):
+    return [[int(has_role(kinds_of(part), need.what).sum()) for need in needs] for part in survey]
+
+
+def program_of(instrument, tiles, catalog, options, needs, counts):
+    """Return the program with the requirements; minima that the counts of a plan miss are replaced by these counts.
+
+    A copy of each target with several roles is not a science target, and spends no visits.
+    """
+    if catalog.kind is None:
+        return JointProgram(instrument, tiles, catalog, options.parked_obstacles)
+    several = has_role(catalog.kind, "science") & (catalog.kind != "science") & (catalog.visits > 0)
+    rows = np.flatnonzero(several)
+    both = catalog[np.append(np.arange(len(catalog)), rows)]
+    kind = np.append(catalog.kind, [name.replace("science+", "") for name in catalog.kind[rows]])
+    program = JointProgram(
+        instrument, tiles, replace(both, kind=kind, id=np.arange(len(both))), options.parked_obstacles
+    )
+    for tile, row in enumerate(counts):
+        here = program.tile == tile
+        for k, target in enumerate(rows):
+            program.add(np.flatnonzero(np.isin(program.target, [target, len(catalog) + k]) & here), 1)
+        for need, n in zip(needs, row, strict=True):
+            most = np.inf if need.maximum is None else need.maximum
+            of_need = has_role(np.append(kind, "")[program.target], need.what) & here
+            program.add(np.flatnonzero(of_need), most, min(need.minimum, n))
+    return program

@@ -1,10 +1,8 @@
 """Joint plans of small random surveys, compared with an integer program that contains all tiles."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from joint_program import JointProgram, survey_with
+from joint_program import JointProgram, counts_by_tile, kinds_of, program_of, survey_with
 
 import rfpsurvey as rs
 from rfpsurvey._sky.arrays import has_role
@@ -13,43 +11,9 @@ SEEDS = [range(10), *(pytest.param(range(k, k + 20), marks=pytest.mark.exhaustiv
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
 
 
-def kinds_of(part):
-    """Return the roles in which a tile observes its targets."""
-    return np.asarray(part["kind"]) if "kind" in part.colnames else np.full(len(part), "science")
-
-
-def counts_by_tile(survey, needs):
-    return [[int(has_role(kinds_of(part), need.what).sum()) for need in needs] for part in survey]
-
-
 def observed_by_class(survey, catalog, classes):
     rows = [part["target_row"][np.asarray(part["observed"]) & has_role(kinds_of(part), "science")] for part in survey]
     return np.array([(catalog.priority[np.concatenate(rows)] == one).sum() for one in classes])
-
-
-def program_of(instrument, tiles, catalog, options, needs, counts):
-    """Return the program with the requirements; minima that the counts of a plan miss are replaced by these counts.
-
-    A copy of each target with several roles is not a science target, and spends no visits.
-    """
-    if catalog.kind is None:
-        return JointProgram(instrument, tiles, catalog, options.parked_obstacles)
-    several = has_role(catalog.kind, "science") & (catalog.kind != "science") & (catalog.visits > 0)
-    rows = np.flatnonzero(several)
-    both = catalog[np.append(np.arange(len(catalog)), rows)]
-    kind = np.append(catalog.kind, [name.replace("science+", "") for name in catalog.kind[rows]])
-    program = JointProgram(
-        instrument, tiles, replace(both, kind=kind, id=np.arange(len(both))), options.parked_obstacles
-    )
-    for tile, row in enumerate(counts):
-        here = program.tile == tile
-        for k, target in enumerate(rows):
-            program.add(np.flatnonzero(np.isin(program.target, [target, len(catalog) + k]) & here), 1)
-        for need, n in zip(needs, row, strict=True):
-            most = np.inf if need.maximum is None else need.maximum
-            of_need = has_role(np.append(kind, "")[program.target], need.what) & here
-            program.add(np.flatnonzero(of_need), most, min(need.minimum, n))
-    return program
 
 
 @pytest.mark.parametrize("seeds", SEEDS)

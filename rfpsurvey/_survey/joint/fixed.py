@@ -23,6 +23,7 @@ from rfpsurvey._field.targets import FieldBuilder
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._sky.arrays import SkyIndex, has_role
 from rfpsurvey._sky.time import to_time
+from rfpsurvey._survey.joint.shares import weights_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import places_of_tiles, when_of
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -86,6 +87,13 @@ class JointOptions(Settings):
     allocator : AllocationOptions or str, optional
         The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
         requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
+    objective : {"visits", "finished"}, optional
+        What is maximized, one priority after the other: the number of visits, or that of targets with all requested
+        visits (those that were already made count). Cadences are always completed first.
+    share : str, optional
+        Only with the objective ``finished``: ``category``, or weights such as ``"main=2 guest=1"``. The smallest
+        finished fraction of the categories of the catalog, divided by its weight (1 by default), is maximized first,
+        then the next one. Priorities count after these fractions.
     early : bool, optional
         Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
         subpriorities if there are any, are compared. This option has no effect with cadences.
@@ -118,6 +126,14 @@ class JointOptions(Settings):
     patch_size: int = option(800, low=10, high=100_000)
     allocator: AllocationOptions | str = option("optimal", convert=_check_first, record=None)
     early: bool = option(False, sparse=True)
+    objective: str = option("visits", choices=("visits", "finished"), sparse=True)
+    share: str | None = option(None, words="'category' or weights of categories", sparse=True)
+
+    def _check(self):
+        if self.share is not None:
+            weights_in(self.share)
+            if self.objective != "finished":
+                raise InputError(f"share can be given only with the objective 'finished', got {self.objective!r}")
 
     @property
     def seconds(self) -> float:

@@ -18,6 +18,7 @@ from rfpsurvey._assignment.weighted import GivenPlan, ListCandidates, TileCandid
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.units import exact_text
 from rfpsurvey._field.targets import FieldBuilder
+from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
 from rfpsurvey._survey.joint.search import Search, levels_of
@@ -254,7 +255,8 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
     """
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
     names, has_cadences = classes_of(request)[1], request.cadences is not None
-    folder = None if has_cadences else folder
+    is_finished = request.joint.objective == "finished" and not has_cadences
+    folder = None if has_cadences or is_finished else folder
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
     fixed = fixed_tiles(request)
     tell, steps = progress, n + request.joint.iterations + 1
@@ -269,10 +271,12 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             plans = list(map(TilePlan, slots, sides))
             tell(n, new=False)
         network, directions, subpriority = list_all(request, plans, fixed, executor)
-        goals = [] if has_cadences else goals_of(request, network, subpriority)
+        goals = [] if has_cadences or is_finished else goals_of(request, network, subpriority)
         chosen = place(network, plans)
         if has_cadences:
             search = WindowSearch(network, chosen, request)
+        elif is_finished:
+            search = FinishedSearch(network, chosen, request, directions)
         else:
             search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
         if stored is None:
@@ -287,6 +291,8 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             _store(folder, network, search)
         if goals:
             search.finish(executor, goals)
+        elif is_finished:
+            search.add_visits()
         tell(steps)
     log.info("planned %d tiles together in %d iterations", n, search.iteration)
     known = {f.name: getattr(request, f.name) for f in fields(request)}
@@ -352,5 +358,5 @@ def table_of(search: Search, names: list[str]) -> QTable:
             level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
         levels.append(level)
     gap = max(level["gap"] for level in levels)
-    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap}
+    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap, **search.record}
     return table

@@ -8,7 +8,7 @@ each other, or all candidates with the same target; a plan may use only a limite
 from concurrent.futures import Executor
 from functools import partial
 from time import perf_counter, time
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
@@ -83,6 +83,9 @@ class JointSearch:
         self.bounds_of_all = self.bounds.copy()
         self.iteration, self.spent, self._reserved, self._begin = 0, 0.0, 0.0, perf_counter()
         self.steps: list[Step] = []
+
+    record: ClassVar[dict] = {}
+    """Further entries of the summary."""
 
     @property
     def seconds(self) -> float:

@@ -30,7 +30,8 @@ class WindowSearch(JointSearch):
     def __init__(self, network: Network, chosen: np.ndarray, request):
         super().__init__(network, chosen, request.joint)
         self.request, self._links = request, Paths(network).links
-        self._dates, place_of, self._time_of = _dates_of(network, request)
+        self._dates, place_of, self._time_of = self._make_dates()
+        self._place_of = place_of
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
         self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
@@ -41,6 +42,14 @@ class WindowSearch(JointSearch):
         mine = chosen[place_of[chosen] >= 0]
         self._used[place_of[mine]] = mine
         self.bounds_complete = self.bounds.copy()
+
+    def _make_dates(self) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
+        """Return the result of `dates_of`."""
+        request = self.request
+        cadences, row = request.cadences
+        return dates_of(
+            self.network, cadences.epochs, request.source.to_slots(row), request.days, request.brightness, NIGHT
+        )
 
     @property
     def counts(self) -> np.ndarray:
@@ -206,37 +215,39 @@ class WindowSearch(JointSearch):
         return float(np.floor(best + ROUNDING[0] + ROUNDING[1] * (abs(best) + price.sum() + arm_price.sum())))
 
 
-def _dates_of(network: Network, request) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
+def dates_of(
+    network: Network, epochs: list, cadence_of_slot: np.ndarray, days: np.ndarray, brightness: np.ndarray, night: float
+) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
     """Return the cadences and times for the kernels, the place of each candidate, and the time rank of each tile.
 
-    The place is -1 for candidates without a place.
+    The place is -1 for candidates without a place. ``epochs`` contains the epochs of each cadence, and ``night`` is the
+    largest time between the exposures of an epoch.
     """
-    cadences, row = request.cadences
-    in_time = np.argsort(request.days, kind="stable")
+    in_time = np.argsort(days, kind="stable")
     time_of = np.empty_like(in_time)
     time_of[in_time] = np.arange(len(in_time))
     n_tiles, n_targets = len(in_time), len(network.slot)
-    epochs = cadences.epochs
     low, high, n_exp, limit = np.concatenate(epochs, axis=1)
-    real = np.flatnonzero(network.rank < network.n_classes)
+    # positioners of fixed tiles have a single candidate
+    can_change = (np.diff(network.start) > 1)[network.positioner]
+    real = np.flatnonzero((network.rank < network.n_classes) & can_change)
     tile = np.repeat(time_of, np.diff(network.first))[network.positioner[real]]
     key = network.target[real].astype(np.int64) * n_tiles + tile
     order = np.argsort(key, kind="stable")
     places, place = np.unique(key, return_inverse=True)
     place_of = np.full(len(network.target), -1)
     place_of[real] = place
-    cadence_of_target = request.source.to_slots(row)
     # standards, sky positions, and copies of targets that are used only in these roles have no cadence
     counted = network.rank_of_target < network.n_classes
     cadence = np.full(n_targets, -1)
-    cadence[counted] = cadence_of_target[network.slot[counted]]
+    cadence[counted] = cadence_of_slot[network.slot[counted]]
     cliques = network.matrix[: network.n_cliques]
     first_epoch = np.cumsum([0, *(epochs_of_cadence.shape[1] for epochs_of_cadence in epochs)])
     of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
     of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
     of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
     of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
-    of_tiles = request.days[in_time], request.brightness[in_time], NIGHT
+    of_tiles = days[in_time], brightness[in_time], night
     cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
     return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
 

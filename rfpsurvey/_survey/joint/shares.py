@@ -1,0 +1,136 @@
+"""Shares of finished targets: the smallest finished fraction of the categories is as large as possible.
+
+Integer programs maximize the smallest fraction, then the next one while the smallest is kept, and so on. A further
+variable, a whole number, is the smallest fraction in units of 1 / ``UNITS``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array, hstack, vstack
+
+from rfpsurvey._assignment.solver import maximize, with_errors
+from rfpsurvey._assignment.weighted import WeightedProblem
+from rfpsurvey.errors import InputError, listed
+
+COLUMN, UNITS = "category", 10_000
+
+
+def weights_in(text: str) -> dict[str, float]:
+    """Return the weight of each category in a text such as ``"main=2 guest=1"``; no weights for ``"category"``."""
+    if text == COLUMN:
+        return {}
+    weights = {}
+    for word in text.split():
+        name, _, value = word.rpartition("=")
+        try:
+            weights[name] = float(value)
+        except ValueError:
+            weights[name] = np.nan
+        if not name or not 0 < weights[name] < np.inf:
+            raise InputError(
+                f"share must be 'category', or weights above 0 of categories such as 'main=2 guest=1', got {text!r}"
+            )
+    if not weights:
+        raise InputError(f"share must be 'category', or weights of categories, got {text!r}")
+    return weights
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """The category of each target of a network, and the number of its targets times its weight."""
+
+    names: tuple[str, ...]
+    group: np.ndarray  # of each target; -1 for targets without visits
+    size: np.ndarray
+    weight: np.ndarray
+
+    @classmethod
+    def of(cls, text: str, category: np.ndarray | None, network) -> "Shares":
+        """Return the shares of a network; ``category`` is the category of each target in the order of slots."""
+        weights = weights_in(text)
+        if category is None:
+            raise InputError("share requires a catalog with categories, got a catalog without the column category")
+        counted = (network.rank_of_target < network.n_classes) & (network.visits > 0) & (network.slot >= 0)
+        names, group = np.unique(category[network.slot[counted]], return_inverse=True)
+        if unknown := sorted({*weights} - {*names.tolist()}):
+            raise InputError(
+                f"share must name categories of targets in the fields ({listed(names.tolist(), 8)}), got "
+                f"{listed(unknown)}"
+            )
+        of_target = np.full(len(network.slot), -1)
+        of_target[counted] = group.reshape(-1)
+        size = np.bincount(of_target[counted], minlength=len(names))
+        return cls(tuple(names.tolist()), of_target, size, np.array([weights.get(name, 1.0) for name in names]))
+
+    def count(self, done: np.ndarray) -> np.ndarray:
+        """Return the number of finished targets of each category."""
+        return np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
+
+    def fractions(self, number: np.ndarray) -> np.ndarray:
+        """Return the finished fraction of each category divided by its weight."""
+        return number / (self.size * self.weight)
+
+    def record(self, done: np.ndarray, bound: float) -> dict:
+        """Return the finished targets of each category, and an upper bound of the smallest weighted fraction."""
+        number = self.count(done)
+        rows = [
+            {"category": name, "weight": float(w), "n_targets": int(n), "n_complete": int(k), "fraction": float(k / n)}
+            for name, w, n, k in zip(self.names, self.weight, self.size, number, strict=True)
+        ]
+        return {"shares": rows, "bound_of_smallest": float(min(bound, (1.0 / self.weight).min()))}
+
+
+def solve_balanced(
+    problem: WeightedProblem, goals: np.ndarray, shares: Shares, outside: np.ndarray, rounds: int, deadline: float
+) -> tuple[np.ndarray | None, float]:
+    """Return the candidate of each positioner in a plan with balanced shares, and a bound of the smallest fraction.
+
+    Parameters
+    ----------
+    problem : WeightedProblem
+        The program; the last candidates are two for each of the targets ``goals``: it is finished, or it is not.
+    goals : ndarray of int
+        Targets that the program can finish.
+    shares : Shares
+        The categories.
+    outside : ndarray of int
+        Number of targets of each category that are finished whatever the program chooses.
+    rounds : int
+        Number of fractions that are maximized, one after the other.
+    deadline : float
+        Value of `now` at which the search ends.
+    """
+    n, m = len(problem.weight), len(problem.start) - 1
+    single = csr_array((np.ones(n), (np.repeat(np.arange(m), np.diff(problem.start)), np.arange(n))), shape=(m, n))
+    finished = n - 2 * len(goals) + 2 * np.arange(len(goals))
+    row = shares.group[goals]
+    counts = csr_array((np.ones(len(goals)), (row, finished)), shape=(len(shares.names), n))
+    scale, least = shares.size * shares.weight, np.zeros(len(shares.names))
+    chosen, bound, is_free, settings = None, np.inf, np.ones(len(scale), dtype=bool), {"integral": True}
+    settings |= {"presolve": True, "nodes": problem.nodes}
+    for k in range(rounds + 1):
+        # the last program maximizes the weights
+        is_last = k == rounds or not is_free.any()
+        unit = np.where(is_free & (not is_last), scale / UNITS, 0.0)
+        top = hstack([vstack([single, problem.sets]), csr_array((m + problem.sets.shape[0], 1))])
+        matrix = vstack([top, hstack([counts, csr_array(-unit[:, None])])], format="csr")
+        low = np.concatenate([np.ones(m), np.full(problem.sets.shape[0], -np.inf), least - outside])
+        high = np.concatenate([np.ones(m), problem.most, np.full(len(scale), np.inf)])
+        goal = np.append(problem.weight, 0.0) if is_last else np.append(np.zeros(n), 1.0)
+        most = np.append(np.ones(n), float(np.ceil(UNITS * (1.0 / shares.weight).max())))
+        x, limit = maximize((matrix, low, high), goal, most, deadline, gap=problem.gap if is_last else 0.0, **settings)
+        if k == 0 and np.isfinite(limit):
+            bound = (with_errors(limit, n) + 1.0) / UNITS
+        if x is None:
+            break
+        chosen = np.flatnonzero(x[:n] > 0.5)
+        if is_last:
+            break
+        number = outside + counts @ x[:n]
+        fractions = np.where(is_free, shares.fractions(number), np.inf)
+        worst = fractions <= fractions.min() + 1.0 / UNITS
+        # the smallest fraction is kept; all others are at least as large
+        least = np.where(worst, number, np.maximum(least, np.floor(fractions.min() * scale * (1 - 1e-9))))
+        is_free &= ~worst
+    return (chosen if chosen is not None and len(chosen) == m else None), bound

@@ -1,0 +1,135 @@
+"""Joint plans that finish targets, compared with an integer program that contains all tiles of a small survey."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from astropy.table import QTable
+from joint_program import counts_by_tile, kinds_of, program_of, survey_with
+
+import rfpsurvey as rs
+from rfpsurvey._sky.arrays import has_role
+
+SEEDS = [range(8), *(pytest.param(range(k, k + 20), marks=pytest.mark.exhaustive) for k in range(0, 100, 20))]
+pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
+
+
+def finished_by_class(survey, catalog, classes):
+    """Return the numbers of science targets of each priority with all requested visits, from the tiles."""
+    times = np.zeros(len(catalog), dtype=int)
+    for part in survey:
+        counted = np.asarray(part["observed"]) & has_role(kinds_of(part), "science")
+        np.add.at(times, np.asarray(part["target_row"])[counted], 1)
+    done = (times >= catalog.visits) & (catalog.visits > 0)
+    assert (times <= catalog.visits).all()
+    return np.array([(done & (catalog.priority == one)).sum() for one in classes])
+
+
+def with_finished(program, catalog):
+    """Return, for each class, weights of the variables of a program that are 1 for finished targets of this class."""
+    n = len(catalog)
+    science = np.ones(n, bool) if catalog.kind is None else has_role(catalog.kind, "science")
+    goals = np.flatnonzero(science & (catalog.visits > 0))
+    first = program.extend(len(goals))
+    for t, y in zip(goals, first, strict=True):
+        visits = np.flatnonzero(program.target == t)
+        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(catalog.visits[t])])
+    weights = np.zeros((len(program.classes), len(program.target)))
+    for k, one in enumerate(program.classes):
+        weights[k, first[catalog.priority[goals] == one]] = 1.0
+    return weights
+
+
+@pytest.mark.parametrize("seeds", SEEDS)
+@pytest.mark.parametrize("roles", ["science", "kinds", "several"])
+def test_plans_finish_as_many_targets_as_possible(roles, seeds):
+    n_best = n_better = n_cases = 0
+    for seed in seeds:
+        instrument, tiles, catalog, options, needs = survey_with(seed, roles)
+        science = np.ones(len(catalog), bool) if catalog.kind is None else has_role(catalog.kind, "science")
+        if not catalog.visits[science].any():
+            continue
+        first = rs.plan_survey(catalog, instrument, tiles, allocator=options)
+        joint = rs.JointOptions(objective="finished", iterations=4, allocator=options)
+        survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+        before = counts_by_tile(first, needs)
+        program = program_of(instrument, tiles, catalog, options, needs, before)
+        weights = with_finished(program, catalog)
+        best = weights @ program.maximize(64.0 ** np.arange(len(weights) - 1, -1, -1) @ weights)
+        sums = [w @ program.maximize(w) for w in np.cumsum(weights, axis=0)]
+        done, old = (finished_by_class(one, catalog, program.classes) for one in (survey, first))
+        assert tuple(done) <= tuple(best), seed
+        for row, earlier in zip(counts_by_tile(survey, needs), before, strict=True):
+            for need, n, m in zip(needs, row, earlier, strict=True):
+                assert n >= min(need.minimum, m), seed
+                assert need.maximum is None or n <= need.maximum, seed
+        levels = survey.summary["joint"]["levels"]
+        bounds = np.array([level["bound_complete"] for level in levels])
+        assert [level["n_complete"] for level in levels] == np.cumsum(done).tolist(), seed
+        assert (bounds >= sums).all(), (seed, bounds, sums)
+        assert not any(np.asarray(part["in_collision"]).any() for part in survey), seed
+        n_best += tuple(done) == tuple(best)
+        n_better += tuple(done) > tuple(old)
+        n_cases += 1
+    assert n_best >= 0.9 * n_cases
+    assert n_better
+
+
+@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 80), marks=pytest.mark.exhaustive)])
+def test_visits_of_fixed_tiles_count(seeds):
+    """The fixed tile keeps its plan, and the optimum and the bounds are those of plans with this tile."""
+    n_cases = n_only_fixed = 0
+    for seed in seeds:
+        instrument, tiles, catalog, options, _ = survey_with(seed, "science")
+        if instrument.focal_plane.positioner.handedness == "both" or not catalog.visits.any():
+            continue
+        before = rs.plan_survey(catalog, instrument, tiles[:1], allocator=options)
+        joint = rs.JointOptions(objective="finished", iterations=4, allocator=options, fixed=before)
+        survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+        rows = np.asarray(before.tile(0)["target_row"])
+        assert np.array_equal(np.asarray(survey.tile(0)["target_row"]), rows), seed
+        program = program_of(instrument, tiles, catalog, options, [], [])
+        here = program.tile == 0
+        for t in np.unique(program.target[here & (program.target >= 0)]):
+            program.add(np.flatnonzero(here & (program.target == t)), int(t in rows), int(t in rows))
+        weights = with_finished(program, catalog)
+        best = weights @ program.maximize(64.0 ** np.arange(len(weights) - 1, -1, -1) @ weights)
+        sums = [w @ program.maximize(w) for w in np.cumsum(weights, axis=0)]
+        done = finished_by_class(survey, catalog, program.classes)
+        levels = survey.summary["joint"]["levels"]
+        assert tuple(done) == tuple(best), seed
+        assert [level["n_complete"] for level in levels] == np.cumsum(done).tolist(), seed
+        assert (np.array([level["bound_complete"] for level in levels]) >= sums).all(), seed
+        n_cases += 1
+        n_only_fixed += bool((catalog.visits[rows] == 1).any())
+    assert n_cases > 0.5 * len(seeds)
+    assert n_only_fixed
+
+
+def test_options_without_effect_are_named():
+    instrument, tiles, catalog, options, _ = survey_with(3, "science")
+    options = replace(options, subpriority=1)
+    joint = rs.JointOptions(objective="finished", early=True, iterations=1, allocator=options)
+    with (
+        pytest.warns(rs.errors.RfpsurveyWarning, match="early has no effect with the objective 'finished'"),
+        pytest.warns(rs.errors.RfpsurveyWarning, match="subpriority has no effect with the objective 'finished'"),
+    ):
+        rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+    with pytest.raises(rs.errors.InputError, match="unknown objective 'targets'; choose one of: finished, visits"):
+        rs.JointOptions(objective="targets")
+
+
+def test_a_stored_survey_is_the_same_and_can_be_planned_again(tmp_path):
+    """A folder contains the objective; after observations, the visits that were made count."""
+    instrument, tiles, catalog, options, _ = survey_with(12, "science")
+    joint = rs.JointOptions(objective="finished", iterations=2, allocator=options)
+    survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint, folder=tmp_path / "s")
+    plain = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+    for one, other in zip(survey, plain, strict=True):
+        assert np.array_equal(one["target_row"], other["target_row"])
+    again = rs.survey.continue_survey(tmp_path / "s")
+    assert again.summary["joint"] == survey.summary["joint"]
+    survey.record(QTable({"tile": [0], "state": ["done"], "date": ["2026-02-01"]}))
+    replanned = survey.replan()
+    done = (np.asarray(replanned.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)
+    assert done.sum() >= ((np.asarray(survey.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)).sum()
