@@ -87,6 +87,9 @@ class JointOptions(Settings):
     allocator : AllocationOptions or str, optional
         The allocator of the first plan, which must be ``optimal``, or options with this allocator. If they contain
         requirements, required targets or other constraints, the joint plan meets all of them that the first plan meets.
+    early : bool, optional
+        Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
+        subpriorities if there are any, are compared. This option has no effect with cadences.
     objective : {"visits", "finished"}, optional
         What is maximized, one priority after the other: the number of visits, or that of targets with all requested
         visits (those that were already made count). Cadences are always completed first.
@@ -94,9 +97,6 @@ class JointOptions(Settings):
         Only with the objective ``finished``: ``category``, or weights such as ``"main=2 guest=1"``. The smallest
         finished fraction of the categories of the catalog, divided by its weight (1 by default), is maximized first,
         then the next one. Priorities count after these fractions.
-    early : bool, optional
-        Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
-        subpriorities if there are any, are compared. This option has no effect with cadences.
 
     Raises
     ------
