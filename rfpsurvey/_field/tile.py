@@ -51,11 +51,10 @@ class Tile:
         spaces, such as ``12 obstacle-3``), ``needs_planner`` or ``without_path`` (if a constraint refers to the
         motion of the arms, see `~rfpsurvey.constraints.Motion`), ``clearance`` (distance to the nearest other arm minus
         the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can collide).
-        The tables
-        of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck positioners
-        can also observe sky), and the columns ``category`` and ``priority`` and all further columns of the catalog, if
-        the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they are integers. The
-        ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
+        The tables of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck
+        positioners can also observe sky), and the columns ``category`` and ``priority`` and all further columns of the
+        catalog, if the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they are
+        integers. The ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 
