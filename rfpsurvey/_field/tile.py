@@ -53,8 +53,8 @@ class Tile:
         the minimum separation), ``arm_x``, ``arm_y`` (outer end of the segment of the eccentric arm that can collide).
         The tables of `plan_tile` also have the column ``kind`` (``science``, ``standard``, ``sky``, or empty; stuck
         positioners can also observe sky), and the columns ``category`` and ``priority`` and all further columns of the
-        catalog, if the catalog has them. Numbers that do not apply to a positioner are NaN, or masked integers. The
-        ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
+        catalog, if the catalog has them. Numbers that do not apply to a positioner are NaN, or masked if they are
+        integers. The ``meta`` of the table contains ``summary``, ``provenance`` and ``geometry``.
     field_targets : QTable or TargetsOfField, optional
         All targets of the field; see `outcomes`.
 

@@ -40,14 +40,13 @@ class Survey(Living):
         that need a path planner) or ``n_without_path`` (positioners without a planned path), ``n_lost_to_rules``
         (science targets that rules on the distribution of fibers cost, not for joint plans), ``n_also_science``
         (science targets that also meet requirements on standard stars or sky positions, if there are any), ``n_unmet``
-        (requirements that are not met; all required targets of a tile count
-        as one, and so do all keep-out circles), ``unmet`` (if there are requirements or required targets: the
-        requirements that are not met, with the numbers of missing targets), ``not_checkable`` (if there are rules:
-        those for which this tile lacks data), ``n_observed`` (successful visits to science targets),
-        ``collision_rate`` (``n_colliding`` divided by ``n_counted``), ``fiber_use`` (``n_assigned`` divided by the
-        number of usable positioners),
-        ``completeness`` (visits that all tiles together made to the targets of this field, divided by the requested
-        visits of these targets; NaN if no visits were requested). Its ``meta`` has ``summary`` and ``provenance``.
+        (requirements that are not met; all required targets of a tile count as one, and so do all keep-out circles),
+        ``unmet`` (if there are requirements or required targets: the requirements that are not met, with the numbers of
+        missing targets), ``not_checkable`` (if there are rules: those for which this tile lacks data), ``n_observed``
+        (successful visits to science targets), ``collision_rate`` (``n_colliding`` divided by ``n_counted``),
+        ``fiber_use`` (``n_assigned`` divided by the number of usable positioners), ``completeness`` (visits that all
+        tiles together made to the targets of this field, divided by the requested visits of these targets; NaN if no
+        visits were requested). Its ``meta`` has ``summary`` and ``provenance``.
     completeness : QTable
         Table that describes the state after each pass. Each pass has one row for all targets and, if there are several
         priorities or categories, one row for each priority and for each category. Columns: ``pass``, ``n_tiles``
