@@ -196,7 +196,8 @@ class _Planner:
     def fold_all(self):
         """Fold all arms in short steps; each attempt begins with the poses at the end of the attempt before."""
         prepared, limits = self.prepared, self.columns.limits
-        crowded, best = int(prepared.crowded), (self._left(),)
+        crowded = int(prepared.crowded)
+        best = self._left(), len(self.parts), self.time, self.theta.copy(), self.psi.copy()
         for factor, wide, noise, with_margin in CROWDED if crowded else STAGES:
             around = prepared.around if with_margin else self.closer
             before = self.theta.copy(), self.psi.copy(), self._left()
@@ -218,9 +219,8 @@ class _Planner:
                 best = left, len(self.parts), self.time, self.theta.copy(), self.psi.copy()
             if left == (0, 0):
                 break
-        if len(best) > 1:
-            n, self.time, self.theta, self.psi = best[1:]
-            del self.parts[n:]
+        _, n, self.time, self.theta, self.psi = best
+        del self.parts[n:]
 
     def search_groups(self, examine: bool):
         """Search paths of small groups for the arms that are not folded; distant groups move at the same time."""
