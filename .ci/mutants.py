@@ -60,6 +60,7 @@ TESTS = {
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
     "rfpsurvey/_assignment/allocate.py": "allocation/uses " + ALLOCATION,
     "rfpsurvey/_assignment/allocation.py": "allocation/reasons " + ALLOCATION,
+    "rfpsurvey/_assignment/rules.py": "constraints/columns " + ALLOCATION,
     "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "local_plans local_search"), "allocation/ejection " + ALLOCATION),
     "rfpsurvey/_assignment/*": ALLOCATION,
