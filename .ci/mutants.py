@@ -58,7 +58,7 @@ TESTS = {
     "rfpsurvey/_assignment/constraints/*": CONSTRAINTS,
     "rfpsurvey/_assignment/before_and_after.py": "tile/late_targets allocation/preselect " + ALLOCATION,
     **dict.fromkeys(files("_assignment", "distribution spread"), "constraints/distribution constraints/requirements"),
-    "rfpsurvey/_assignment/allocate.py": "allocation/uses " + ALLOCATION,
+    "rfpsurvey/_assignment/allocate.py": "allocation/uses allocation/subpriority " + ALLOCATION,
     "rfpsurvey/_assignment/allocation.py": "allocation/reasons " + ALLOCATION,
     "rfpsurvey/_assignment/rules.py": "constraints/columns " + ALLOCATION,
     "rfpsurvey/_assignment/weighted.py": "allocation/row_prices " + ALLOCATION,
