@@ -58,6 +58,25 @@ def test_the_hash_is_the_one_that_is_documented():
     assert slow_mix(0) == 0xE220A8397B1DCDAF  # the first output of SplitMix64 with the seed 0
 
 
+def test_subpriorities_are_given_only_once():
+    words = "subpriority must be given either as an array or in the options, got both"
+    for given, options in ((None, 1), (np.array([0.5, 0.1]), None)):  # one of them is accepted
+        rs.allocate(
+            PLANES["equal"],
+            [[0, 5], [5, 0]] * MM,
+            allocator=rs.AllocationOptions(subpriority=options),
+            subpriority=given,
+        )
+    refused(
+        words,
+        rs.allocate,
+        PLANES["equal"],
+        [[0, 5], [5, 0]] * MM,
+        allocator=rs.AllocationOptions(subpriority=1),
+        subpriority=np.array([0.5, 0.1]),
+    )
+
+
 def test_integers_and_their_text_agree():
     numbers = np.array([0, 5, -17, 10**17, 123456, 2**63 - 1, -(2**63), 5_853_498_713_190_525_696])
     assert (id_numbers(numbers) == id_numbers(numbers.astype(str))).all()
