@@ -188,7 +188,7 @@ def test_a_change_of_the_elbow_with_a_limited_range_of_phi():
 def test_constraints_with_different_laws_are_refused():
     """Regression: only the first of them was honored, but both were reported as met."""
     options = rs.AllocationOptions("optimal", constraints=["motion fold", "motion fold same_speed"])
-    with pytest.raises(rs.InputError, match="all constraints on the motion must have the same law of time"):
+    with pytest.raises(rs.InputError, match="all constraints on the motion must have the same kind and law of time"):
         rs.plan_tile(rs.example_catalog("anticenter"), "sdss_apo", "06h20m +23d", allocator=options)
     with pytest.raises(rs.InputError, match="the constraint must have the form 'motion MOTION LAW', got ''"):
         rs.AllocationOptions("optimal", constraints="motion")

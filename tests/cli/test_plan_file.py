@@ -106,7 +106,13 @@ def test_the_record_of_a_survey_with_a_report_and_plots_can_be_run_again(call, r
     record = Path("first/plan.toml")
     found = tomllib.loads(record.read_text())
     assert found["output"] == {"folder": "."}
-    assert found["joint"] == {"iterations": 1, "gap": 0.0, "patch_size": 800, "early": False}
+    assert found["joint"] == {
+        "iterations": 1,
+        "gap": 0.0,
+        "patch_size": 800,
+        "early": False,
+        "objective": "visits",
+    }
     message = "rfpsurvey: first holds a survey; continue it with --resume, or give another folder\n"
     assert run("survey", record)[::2] == (2, message)
     for options in ("--resume", "--folder second"):

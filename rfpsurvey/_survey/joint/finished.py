@@ -28,7 +28,7 @@ from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_o
 SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
 # Largest number of nodes of a program of a patch; the same times the number of candidates, for a program of all tiles;
 # and largest ratio of the weights of two classes.
-NODES, EFFORT, STEEPEST = 100, 2e8, 1e4
+NODES, EFFORT, STEEPEST = 100, 2e6, 1e4
 # Fraction of the remaining time for the programs of all tiles.
 FOR_ALL = 0.8
 
@@ -323,7 +323,8 @@ class _EqualTiles:
             high = np.append(high, np.zeros(len(shares.size)))
             goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
         program = matrix, np.full(len(high), -np.inf), high
-        _, bound = maximize(program, goal, most, deadline, integral=True, gap=0.0, presolve=True)
+        limits = {"gap": 0.0, "presolve": True, "nodes": int(EFFORT / (n + m))}
+        _, bound = maximize(program, goal, most, deadline, integral=True, **limits)
         bound = with_errors(bound, n + m)
         return bound if shares is None else (bound + 1.0) / UNITS
 
