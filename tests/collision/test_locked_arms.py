@@ -95,7 +95,7 @@ ALONE, INTERLOCKED = "the two arms have a path without the other arms", "the two
 @pytest.mark.parametrize("seeds", [range(25), pytest.param(range(25, 150), marks=pytest.mark.exhaustive)])
 def test_verdicts_on_two_arms_agree_with_the_planner(seeds):
     """Pairs of arms with narrow ranges of theta, in poses in which many of them cross the path of the other."""
-    found, motion = [], JointMotion(phi_range=[0, 180] * DEG)
+    found, n_missed, motion = [], 0, JointMotion(phi_range=[0, 180] * DEG)
     for seed in seeds:
         rng = np.random.default_rng([7, seed])
         for _ in range(100):
@@ -112,8 +112,10 @@ def test_verdicts_on_two_arms_agree_with_the_planner(seeds):
         arrives = find_paths(plane, arms, motion=motion, margin=0 * MM).arrives.all()
         columns = plane.arrays
         verdict = _Planner(columns, arms_of(columns, arms, motion, 0.0), 0.1, rng)._examine(np.array([0, 1]))
-        assert verdict != (INTERLOCKED if arrives else ALONE), seed
+        assert not (arrives and verdict == INTERLOCKED), seed
+        n_missed += not arrives and verdict == ALONE  # two random searches, of which only the second found a path
         found.append(verdict)
+    assert n_missed <= 0.02 * len(seeds)
     assert found.count(INTERLOCKED) > 1
     assert found.count(ALONE) > len(seeds) / 2
 

@@ -34,10 +34,17 @@ def file(made, tmp_path_factory):
 
 
 @pytest.fixture(scope="module")
-def page(visit, file):
+def opened(visit, file):
     page = visit(file)
     page.evaluate(f"async () => {{ while (!({VIEW}?.stage.width > 1)) await new Promise(requestAnimationFrame); }}")
     return page
+
+
+@pytest.fixture
+def page(opened):
+    """Return the open page with planned paths; other tests of this page also show other motions."""
+    opened.evaluate(f"() => {{ {VIEW}.motion.planned = true; }}")
+    return opened
 
 
 @pytest.fixture(scope="module")

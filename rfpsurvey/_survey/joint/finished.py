@@ -323,7 +323,7 @@ class _EqualTiles:
             high = np.append(high, np.zeros(len(shares.size)))
             goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
         program = matrix, np.full(len(high), -np.inf), high
-        limits = {"gap": 0.0, "presolve": True, "nodes": int(EFFORT / (n + m))}
+        limits = {"gap": 0.0, "presolve": True, "nodes": int(10 * EFFORT / (n + m))}  # these programs are smaller
         _, bound = maximize(program, goal, most, deadline, integral=True, **limits)
         bound = with_errors(bound, n + m)
         return bound if shares is None else (bound + 1.0) / UNITS
