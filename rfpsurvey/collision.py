@@ -6,6 +6,7 @@ from rfpsurvey._instruments.count_collisions import CollisionCounts, count_colli
 from rfpsurvey._instruments.find_collisions import find_collisions
 from rfpsurvey._instruments.find_paths import find_paths
 from rfpsurvey._instruments.motion import LAWS, CollisionReport, MotionReport, find_motion
+from rfpsurvey._instruments.path_report import PathReport
 from rfpsurvey._instruments.paths import Paths
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "CollisionCounts",
     "CollisionReport",
     "MotionReport",
+    "PathReport",
     "Paths",
     "count_collisions",
     "find_collisions",

@@ -370,4 +370,4 @@ def paths_of(tile: Tile, instrument: Instrument | str | None, **options: object)
     types = {"fiber_type": table["fiber_type"]} if "fiber_type" in table.colnames else {}
     idle = np.where(posed, np.nan, angles)
     arms = place_arms(plane, **dict(zip(("theta", "phi"), given, strict=True)), **types, idle_angles=idle)
-    return paths_to(plane, arms, instrument.motion, refuse=True, **options)[0]
+    return paths_to(plane, arms, instrument.motion, refuse=True, **options)

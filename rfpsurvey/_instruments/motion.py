@@ -75,7 +75,7 @@ class MotionReport:
         """Number of positioners that need a path planner."""
         return int(self.needs_planner.sum())
 
-    n_failing = n_planner
+    n_failing = n_planner  # the name that `PathReport` also has
 
     @property
     def counts(self) -> dict[str, int]:

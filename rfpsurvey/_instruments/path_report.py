@@ -25,11 +25,23 @@ class PathReport:
         The proven paths. Arms that collide in the poses of the plan are treated as arms without a target.
     without_path : ndarray of bool, shape (n,)
         Whether each positioner has a target that its arm does not reach on a proven path.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> robot = rs.Positioner(8 * u.mm, 17 * u.mm, 2 * u.mm)
+    >>> plane = rs.FocalPlane([[0, 0], [25, 0]] * u.mm, robot)
+    >>> options = rs.AllocationOptions("optimal", constraints="motion paths")
+    >>> plan = rs.allocate(plane, [[16, -12], [14, 12]] * u.mm, allocator=options)
+    >>> plan.paths, plan.paths.counts
+    (<PathReport: 0 positioners without a path>, {'n_without_path': 0})
     """
 
     paths: Paths
     without_path: np.ndarray
     law: ClassVar[str] = "paths"
+    """Text that stands for planned paths in place of a law of time."""
 
     @property
     def n_failing(self) -> int:
@@ -52,14 +64,14 @@ def report_paths(plane: FocalPlane, arms: Arms, motion: JointMotion | None) -> P
     same paths: in crowded planes, rounding errors change which arms arrive.
     """
     angles = np.array([(np.rad2deg(angle) << u.deg).to_value(u.rad) for angle in (arms.theta, arms.phi)])
-    paths, _ = paths_to(plane, replace(arms, find_angles=angles.copy), motion)
+    paths = paths_to(plane, replace(arms, find_angles=angles.copy), motion)
     return PathReport(paths, arms.assigned & ~(paths.assigned & paths.arrives))
 
 
 def paths_to(
     plane: FocalPlane, arms: Arms, motion: JointMotion | None, *, refuse: bool = False, **options: object
-) -> tuple[Paths, np.ndarray]:
-    """Plan paths to the poses of a plan; also return which arms were left out because they collide in these poses.
+) -> Paths:
+    """Plan paths to the poses of a plan, which may contain collisions.
 
     If an arm without a target collides, its pose is left out, so that the planner chooses another one. If arms with
     targets collide, they are left out, or, with ``refuse``, an error is raised.
@@ -73,7 +85,7 @@ def paths_to(
         names, idle = {"fiber_type": types} if types is not None else {}, np.where(arms.assigned, np.nan, angles)
         posed = place_arms(plane, **dict(zip(("theta", "phi"), given, strict=True)), **names, idle_angles=idle)
         try:
-            return find_paths(plane, posed, motion=motion, **options), left_out
+            return find_paths(plane, posed, motion=motion, **options)
         except CollidingPosesError as error:
             can_move = np.isin(np.arange(len(plane)), error.rows) & plane.arrays.usable & ~left_out
             new = can_move & ~arms.assigned

@@ -198,7 +198,8 @@ def with_measured_paths(estimate: Estimate, question: ProbabilityQuestion, motio
     n = n_late = 0
     for rng in question.rng.spawn(N_PATHS):
         arms = question.realize(rng).place_arms(question.focal_plane)
-        paths, _ = paths_to(question.focal_plane, arms, motion)  # without arms that collide at their targets
+        paths = paths_to(question.focal_plane, arms, motion)  # without arms that collide at their targets
         n, n_late = n + paths.assigned.sum(), n_late + (paths.assigned & ~paths.arrives).sum()
-    estimate = with_dynamic(estimate, float(n_late / max(n, 1)))
-    return replace(estimate, meta={**estimate.meta, "dynamic": float(n_late / max(n, 1)), "n_paths": int(n)})
+    rate = float(n_late / max(n, 1))
+    estimate = with_dynamic(estimate, rate)
+    return replace(estimate, meta={**estimate.meta, "dynamic": rate, "n_paths": int(n)})

@@ -97,9 +97,7 @@ class FinishedSearch(WindowSearch):
 
     def _solve_all(self) -> None:
         """Find the best plan, and an upper bound for each level with a gap, by integer programs for all tiles."""
-        network, one_patch = self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64)
-        patches = Patches(network, one_patch)
-        whole = bool(network.usable.all() and not network.free.any())
+        network, patches = self.network, Patches(self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64))
         gains = {k: (np.arange(network.n_classes) <= level).astype(float) for k, level in enumerate(self.levels)}
         if network.n_classes > 1:  # first the plan that is best in the order of the classes
             gains = {-1: self._class_weights(), **gains}
@@ -114,37 +112,35 @@ class FinishedSearch(WindowSearch):
             self._take(patches.members[0], problem, chosen)
             if k < 0:
                 continue
-            if whole and np.isfinite(bound):
+            if self._is_complete and np.isfinite(bound):
                 self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound))
             self._is_proven[k] = True  # further iterations use only moves
 
     def _balance(self, is_small: bool) -> None:
         """Increase the smallest finished fractions of the categories, by a program for all tiles or for patches."""
-        network, label = self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64)
+        network = self.network
         if is_small and self.iteration > 0:
             return
-        if not is_small:
-            rng = np.random.default_rng([self.request.seed, self.iteration, 3])
-            label = divide(network, self._directions, SIZE * int(self.options.patch_size), rng)
-        patches, rounds = Patches(network, label), len(self.shares.names) if is_small else 1
+        whole = np.zeros(len(network.start) - 1, dtype=np.int64)
+        patches, rounds = (Patches(network, whole), len(self.shares.names)) if is_small else (self._patches(), 1)
         for k in range(patches.n):
             if self.out_of_time():
                 break
             seconds = min(self._limit - self.seconds, 1e9) * (FOR_ALL / (rounds + 1) if is_small else 1.0)
             nodes = int(EFFORT / len(network.target)) if is_small else NODES
             problem = self._program(patches, k, self._class_weights(), time() + seconds, nodes)
-            outside = np.zeros(len(network.slot), dtype=bool) | (_finished(network, self.chosen)[:, 0] > 0)
+            outside = _finished(network, self.chosen)[:, 0] > 0
             outside[problem[2]] = False
             given = problem[2], self.shares, self.shares.count(outside), rounds, now() + seconds * (rounds + 1)
             chosen, bound = solve_balanced(problem[1], *given)
             self._take(patches.members[k], problem, chosen)
-            if is_small and network.usable.all() and not network.free.any():
+            if is_small and self._is_complete:
                 self.bound_of_smallest = min(self.bound_of_smallest, bound)
 
     def _bound_together(self) -> None:
         """Find a smaller upper bound for each level with a gap, by a program in which equal tiles are one tile."""
         network = self.network
-        if not network.usable.all() or network.free.any():
+        if not self._is_complete:
             return
         together = _EqualTiles(network)
         if self.shares is not None and not self.out_of_time():
@@ -158,9 +154,7 @@ class FinishedSearch(WindowSearch):
 
     def _solve_patches(self, executor) -> None:
         """Improve the plan by integer programs for patches; those that share no set are solved at the same time."""
-        rng = np.random.default_rng([self.request.seed, self.iteration, 3])
-        size = SIZE * int(self.options.patch_size)
-        patches = Patches(self.network, divide(self.network, self._directions, size, rng))
+        patches = self._patches()
         for group in patches.colors():
             if self.out_of_time():
                 break
@@ -169,6 +163,16 @@ class FinishedSearch(WindowSearch):
             results = map_in_order(executor, solve_weighted, [problem for _, problem, _ in problems])
             for k, problem, (chosen, _) in zip(group, problems, results, strict=True):
                 self._take(patches.members[k], problem, chosen)
+
+    @property
+    def _is_complete(self) -> bool:
+        """Whether programs of all tiles contain all candidates of all plans, so that they give bounds."""
+        return bool(self.network.usable.all() and not self.network.free.any())
+
+    def _patches(self) -> Patches:
+        """Divide the positioners into patches, which differ in each iteration."""
+        rng = np.random.default_rng([self.request.seed, self.iteration, 3])
+        return Patches(self.network, divide(self.network, self._directions, SIZE * self.options.patch_size, rng))
 
     def _class_weights(self) -> np.ndarray:
         """Return the weight of a finished target of each class: higher priorities take precedence."""
@@ -221,8 +225,7 @@ class FinishedSearch(WindowSearch):
         network = self.network
         load = network.columns @ np.bincount(new, minlength=len(network.target)).astype(float)
         keeps = (load <= np.append(network.most, self.limits) + path_kernels.TOLERANCE).all()
-        values = [self._value(plan) for plan in (self.chosen, new)]
-        if keeps and tuple(values[1]) >= tuple(values[0]):
+        if keeps and self._value(new) >= self._value(self.chosen):
             self._use(new)
 
     def _value(self, chosen) -> tuple:

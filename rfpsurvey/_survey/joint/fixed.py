@@ -61,7 +61,7 @@ class JointOptions(Settings):
         The search ends when, for every priority, the relative difference between the number of visits and its upper
         bound is at most this value. The visits of a priority are all visits to targets with at least this priority. If
         the targets have cadences, the numbers of complete cadences are compared instead, and the number of visits must
-        be equal to its bound.
+        be equal to its bound. With the objective ``finished``, the numbers of finished targets are compared.
     iterations : int, optional
         Largest number of iterations. If this number is 0, visits are only moved between tiles along augmenting paths,
         and the first bounds are computed.
@@ -101,7 +101,7 @@ class JointOptions(Settings):
     Raises
     ------
     InputError
-        If a number is out of range.
+        If a number is out of range, if ``share`` is not a valid text, or if it is given with another objective.
 
     Notes
     -----

@@ -109,16 +109,16 @@ def solve_balanced(
     scale, least = shares.size * shares.weight, np.zeros(len(shares.names))
     chosen, bound, is_free, settings = None, np.inf, np.ones(len(scale), dtype=bool), {"integral": True}
     settings |= {"presolve": True, "nodes": problem.nodes}
+    top = hstack([vstack([single, problem.sets]), csr_array((m + problem.sets.shape[0], 1))])
+    high = np.concatenate([np.ones(m), problem.most, np.full(len(scale), np.inf)])
+    most = np.append(np.ones(n), float(np.ceil(UNITS * (1.0 / shares.weight).max())))
     for k in range(rounds + 1):
         # the last program maximizes the weights
         is_last = k == rounds or not is_free.any()
         unit = np.where(is_free & (not is_last), scale / UNITS, 0.0)
-        top = hstack([vstack([single, problem.sets]), csr_array((m + problem.sets.shape[0], 1))])
         matrix = vstack([top, hstack([counts, csr_array(-unit[:, None])])], format="csr")
         low = np.concatenate([np.ones(m), np.full(problem.sets.shape[0], -np.inf), least - outside])
-        high = np.concatenate([np.ones(m), problem.most, np.full(len(scale), np.inf)])
         goal = np.append(problem.weight, 0.0) if is_last else np.append(np.zeros(n), 1.0)
-        most = np.append(np.ones(n), float(np.ceil(UNITS * (1.0 / shares.weight).max())))
         x, limit = maximize((matrix, low, high), goal, most, deadline, gap=problem.gap if is_last else 0.0, **settings)
         if k == 0 and np.isfinite(limit):
             bound = (with_errors(limit, n) + 1.0) / UNITS
