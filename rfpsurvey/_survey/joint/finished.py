@@ -34,14 +34,35 @@ FOR_ALL = 0.8
 
 
 class FinishedSearch(WindowSearch):
-    """A plan of all tiles that finishes targets, and upper bounds; the parameters are those of `Search`."""
+    """A plan of all tiles that finishes targets, and upper bounds.
 
-    def __init__(self, network: Network, chosen: np.ndarray, request, directions: np.ndarray):
-        self._directions, self.bound_of_smallest = directions, np.inf
-        category = request.source.by_slot("category")
-        self.shares = Shares.of(request.joint.share, category, network) if request.joint.share else None
-        super().__init__(network, _without_unfinished(network, chosen), request)
+    Parameters
+    ----------
+    network : Network
+        The candidates of all tiles, or of chosen targets.
+    plans : tuple of ndarray
+        Plans, that is, the candidate of each positioner; the search starts with the best plan that keeps all limits of
+        the first one.
+    request : Request
+        The request of the survey.
+    directions : ndarray
+        Unit vectors of the centers of all positioners.
+    shares : Shares or None
+        The categories of all targets in the order of slots.
+    exposures : Exposures or None
+        All targets, if the network contains only chosen ones.
+    """
+
+    def __init__(self, network: Network, plans: tuple, request, directions: np.ndarray, shares, exposures=None):
+        self._directions, self.bound_of_smallest, self._exposures = directions, np.inf, exposures
+        self.shares, self._all_shares = None if shares is None else shares.on(network.slot), shares
+        super().__init__(network, _without_unfinished(network, plans[0]), request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
+        for plan in plans[1:]:
+            plan = _without_collisions(network, plan)
+            keeps = (network.sums(plan) <= self.limits + path_kernels.TOLERANCE).all()
+            if keeps and self._value(plan) > self._value(self.chosen):
+                self._use(plan)
 
     def _make_dates(self):
         wanted, n_tiles = _wanted(self.network), len(self.request.tiling)
@@ -63,6 +84,9 @@ class FinishedSearch(WindowSearch):
         return np.cumsum(np.bincount(network.rank_of_target[done], minlength=network.n_classes))[self.levels]
 
     def _without_limits(self, per_visit, per_whole):
+        if self._exposures is not None:  # the numbers of visits suffice
+            visits = np.array([self._exposures.bound_of_visits(level) for level in self.levels])
+            return visits + per_whole * self._n_fixed
         return super()._without_limits(per_visit, per_whole) + per_whole * self._n_fixed
 
     @property
@@ -76,17 +100,23 @@ class FinishedSearch(WindowSearch):
         self.bounds_complete[k] = n + self._bound(k, *WHOLE, int(self.counts[k, 0]) - n, self._minima(), limit)
         self.bounds[k] = self.bounds_of_all[k] = self.network.matching(int(self.levels[k]), MOST_EDGES)
 
+    def _improve(self, passes: int) -> None:
+        """Try to finish each target that is not finished, a number of times."""
+        before = self.chosen.copy()
+        super()._improve(passes)
+        if self._value(self.chosen) < self._value(before):  # moves do not consider shares
+            self._use(before)
+
     def iterate(self, executor: Executor | None) -> None:
         """Run one iteration: moves, and integer programs for patches, or one for each level with a gap."""
         if self.shares is None or self.iteration == 0:
-            before = self.chosen.copy()
             self._improve(PASSES)
-            if self._value(self.chosen) < self._value(before):  # moves do not consider shares
-                self._use(before)
         is_small = len(self.network.target) <= MOST_OF_ALL
         if self.iteration == 0:
             self._bound_together()
-        if self.shares is not None:
+        if self._exposures is not None:
+            pass  # a plan of chosen targets is improved only by moves
+        elif self.shares is not None:
             self._balance(is_small)
         elif (self.gaps > self.options.gap).any():
             self._solve_patches(executor)
@@ -140,12 +170,14 @@ class FinishedSearch(WindowSearch):
     def _bound_together(self) -> None:
         """Find a smaller upper bound for each level with a gap, by a program in which equal tiles are one tile."""
         network = self.network
-        if not self._is_complete:
+        if not self._is_complete and self._exposures is None:
             return
-        together = _EqualTiles(network)
-        if self.shares is not None and not self.out_of_time():
+        together, shares = self._exposures, self._all_shares
+        if together is None:
+            together, shares = _EqualTiles(network), self.shares
+        if shares is not None and not self.out_of_time():
             end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / 2
-            bound = together.bound(network.n_classes - 1, end, self.shares)
+            bound = together.bound(network.n_classes - 1, end, shares)
             self.bound_of_smallest = min(self.bound_of_smallest, bound)
         for k in np.flatnonzero(self.counts[:, 0] < self.bounds_complete):
             if not self.out_of_time():
@@ -357,6 +389,23 @@ def _by_class(network: Network, chosen: np.ndarray) -> np.ndarray:
     """Return the number of finished targets of each class."""
     done = _finished(network, chosen)[:, 0]
     return np.bincount(network.rank_of_target, done, network.n_classes + 1)[: network.n_classes]
+
+
+def _without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
+    """Return a plan without candidates of targets that collide with others."""
+    n = network.n_cliques
+    while True:
+        used = np.bincount(chosen, minlength=len(network.target)).astype(float)
+        full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
+        bad = (network.matrix[:n].T @ full > 0) & (used > 0) & (network.rank < network.n_classes)
+        bad &= (np.diff(network.start) > 1)[network.positioner]
+        if not bad.any():
+            return chosen
+        # only some of the targets of the lowest class, because the others may no longer collide
+        bad &= network.rank == network.rank[bad].max()
+        rows = network.positioner[np.flatnonzero(bad)[::2]]
+        chosen = chosen.copy()
+        chosen[rows] = network.start[rows + 1] - 1
 
 
 def _without_unfinished(network: Network, chosen: np.ndarray) -> np.ndarray:

@@ -13,15 +13,18 @@ from functools import partial
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.rules import to_subpriorities
 from rfpsurvey._assignment.weighted import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.units import exact_text
 from rfpsurvey._field.targets import FieldBuilder
+from rfpsurvey._survey.joint.exposures import Exposures
 from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
-from rfpsurvey._survey.joint.search import Search, levels_of
+from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of
+from rfpsurvey._survey.joint.shares import Shares
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Done, Job, plan_of, projection_of, run_rounds
@@ -69,16 +72,18 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
 
 
 def list_all(
-    request, plans: list, fixed: dict, executor: Executor | None
+    request, plans: list, fixed: dict, executor: Executor | None, chosen: np.ndarray | None = None
 ) -> tuple[Network, np.ndarray, np.ndarray | None]:
     """Return the candidates of all tiles as a `Network`, and the unit vectors of the centers of all positioners.
 
-    Also return the subpriority of each target in the order of slots; None if there are no subpriorities.
+    Also return the subpriority of each target in the order of slots; None if there are no subpriorities. ``chosen`` is
+    whether to list each target, by default all targets.
     """
     builder, left, given = request.builder, request.builder.left, request.options.subpriority
+    available = left if chosen is None else np.where(chosen, left, 0).astype(left.dtype)
     jobs, slots, n, subpriority, reuse = [], [], len(request.tiling), None, builder.lasting is not None
     for tile in range(n):
-        job = request.job(tile, left)
+        job = request.job(tile, available)
         slots.append(with_roles(builder, job.field.slot, job.field.targets))
         values = job.field.targets.columns.subpriority
         if given is not None:
@@ -102,7 +107,39 @@ def list_all(
         tiles, slots = zip(*with_copies, strict=True)
         left, class_of = np.tile(left, 2), np.append(class_of, np.full(len(left), len(names)))
     network = make_network(list(tiles), list(slots), left, class_of, len(names))
+    if chosen is not None:
+        network = replace(network, free=np.ones(len(network.free), dtype=bool))
     return network, np.concatenate(vectors), subpriority
+
+
+def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
+    """Return plans that finish targets, the shares of the categories, and the targets to list.
+
+    The first value are all targets, and the last one is whether to list each target, if there are too many; else None.
+    """
+    class_of, names = classes_of(request)
+
+    def list_tile(job: Job) -> TileCandidates:
+        nothing = np.full(len(request.instrument.focal_plane), -1)
+        return _list(_with_allocator(request, job.bare(), ListCandidates(nothing)))[0]
+
+    exposures = Exposures(request, fixed, class_of, len(names), list_tile)
+    shares, share = None, request.joint.share
+    if share:
+        shares = Shares.of(share, request.source.by_slot("category"), exposures.in_field & (class_of < len(names)))
+    found, listed = exposures.finish(plans, shares, request.seed)
+    starts, n = [found], len(names)
+    weights = (1e4 ** (np.arange(n - 1, -1, -1.0) / max(n - 1, 1)))[np.minimum(class_of[exposures.slots], n - 1)]
+    first = exposures.relax(weights, now() + FOR_PRICES * min(request.joint.seconds, 1e9), shares)[1]
+    if (first < 2).any():
+        found, further = exposures.finish(plans, shares, request.seed, first)
+        starts.append(found)
+        listed |= further
+    if not exposures.is_large:
+        return None, shares, starts, None
+    for plan in fixed.values():
+        listed[without_roles(request.builder, plan.slot[plan.slot >= 0])[0]] = True
+    return exposures, shares, starts, listed
 
 
 def without_roles(builder: FieldBuilder, slot: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -270,13 +307,19 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
             slots, sides = (stored[name].reshape(n, n_positioners) for name in ("slot", "side"))
             plans = list(map(TilePlan, slots, sides))
             tell(n, new=False)
-        network, directions, subpriority = list_all(request, plans, fixed, executor)
+        starts, chosen, exposures, shares = [plans], None, None, None
+        if is_finished:
+            exposures, shares, others, chosen = _finish_exposures(request, plans, fixed)
+            starts += others
+        network, directions, subpriority = list_all(
+            request, starts[0 if chosen is None else -1], fixed, executor, chosen
+        )
         goals = [] if has_cadences or is_finished else goals_of(request, network, subpriority)
-        chosen = place(network, plans)
+        chosen, *others = (place(network, plans) for plans in starts)
         if has_cadences:
             search = WindowSearch(network, chosen, request)
         elif is_finished:
-            search = FinishedSearch(network, chosen, request, directions)
+            search = FinishedSearch(network, (chosen, *others), request, directions, shares, exposures)
         else:
             search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
         if stored is None:

@@ -4,7 +4,7 @@ Integer programs maximize the smallest fraction, then the next one while the sma
 variable, a whole number, is the smallest fraction in units of 1 / ``UNITS``.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
@@ -38,30 +38,34 @@ def weights_in(text: str) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """The category of each target of a network, and the number of its targets times its weight."""
+    """The category of each target, and the number of targets in each category times its weight."""
 
     names: tuple[str, ...]
-    group: np.ndarray  # of each target; -1 for targets without visits
+    group: np.ndarray  # -1 for targets that do not count
     size: np.ndarray
     weight: np.ndarray
 
     @classmethod
-    def of(cls, text: str, category: np.ndarray | None, network) -> "Shares":
-        """Return the shares of a network; ``category`` is the category of each target in the order of slots."""
+    def of(cls, text: str, category: np.ndarray | None, counted: np.ndarray) -> "Shares":
+        """Return the shares of the targets that are ``counted``; all arrays are in the order of slots."""
         weights = weights_in(text)
         if category is None:
             raise InputError("share requires a catalog with categories, got a catalog without the column category")
-        counted = (network.rank_of_target < network.n_classes) & (network.visits > 0) & (network.slot >= 0)
-        names, group = np.unique(category[network.slot[counted]], return_inverse=True)
+        names, group = np.unique(category[counted], return_inverse=True)
         if unknown := sorted({*weights} - {*names.tolist()}):
             raise InputError(
                 f"share must name categories of targets in the fields ({listed(names.tolist(), 8)}), got "
                 f"{listed(unknown)}"
             )
-        of_target = np.full(len(network.slot), -1)
-        of_target[counted] = group.reshape(-1)
-        size = np.bincount(of_target[counted], minlength=len(names))
-        return cls(tuple(names.tolist()), of_target, size, np.array([weights.get(name, 1.0) for name in names]))
+        of_slot = np.full(len(counted), -1)
+        of_slot[counted] = group.reshape(-1)
+        size = np.bincount(of_slot[counted], minlength=len(names))
+        return cls(tuple(names.tolist()), of_slot, size, np.array([weights.get(name, 1.0) for name in names]))
+
+    def on(self, slot: np.ndarray) -> "Shares":
+        """Return the shares with the category of each target with a slot, or a negative number."""
+        known = (slot >= 0) & (slot < len(self.group))
+        return replace(self, group=np.where(known, self.group[np.where(known, slot, 0)], -1))
 
     def count(self, done: np.ndarray) -> np.ndarray:
         """Return the number of finished targets of each category."""
