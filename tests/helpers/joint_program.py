@@ -179,3 +179,29 @@ def program_of(instrument, tiles, catalog, options, needs, counts):
             of_need = has_role(np.append(kind, "")[program.target], need.what) & here
             program.add(np.flatnonzero(of_need), most, min(need.minimum, n))
     return program
+
+
+def finished_by_class(survey, catalog, classes):
+    """Return the numbers of science targets of each priority with all requested visits, from the tiles."""
+    times = np.zeros(len(catalog), dtype=int)
+    for part in survey:
+        counted = np.asarray(part["observed"]) & has_role(kinds_of(part), "science")
+        np.add.at(times, np.asarray(part["target_row"])[counted], 1)
+    done = (times >= catalog.visits) & (catalog.visits > 0)
+    assert (times <= catalog.visits).all()
+    return np.array([(done & (catalog.priority == one)).sum() for one in classes])
+
+
+def with_finished(program, catalog):
+    """Return, for each class, weights of the variables of a program that are 1 for finished targets of this class."""
+    n = len(catalog)
+    science = np.ones(n, bool) if catalog.kind is None else has_role(catalog.kind, "science")
+    goals = np.flatnonzero(science & (catalog.visits > 0))
+    first = program.extend(len(goals))
+    for t, y in zip(goals, first, strict=True):
+        visits = np.flatnonzero(program.target == t)
+        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(catalog.visits[t])])
+    weights = np.zeros((len(program.classes), len(program.target)))
+    for k, one in enumerate(program.classes):
+        weights[k, first[catalog.priority[goals] == one]] = 1.0
+    return weights

@@ -5,39 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from astropy.table import QTable
-from joint_program import counts_by_tile, kinds_of, program_of, survey_with
+from joint_program import counts_by_tile, finished_by_class, program_of, survey_with, with_finished
 
 import rfpsurvey as rs
 from rfpsurvey._sky.arrays import has_role
 
 SEEDS = [range(8), *(pytest.param(range(k, k + 20), marks=pytest.mark.exhaustive) for k in range(0, 100, 20))]
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
-
-
-def finished_by_class(survey, catalog, classes):
-    """Return the numbers of science targets of each priority with all requested visits, from the tiles."""
-    times = np.zeros(len(catalog), dtype=int)
-    for part in survey:
-        counted = np.asarray(part["observed"]) & has_role(kinds_of(part), "science")
-        np.add.at(times, np.asarray(part["target_row"])[counted], 1)
-    done = (times >= catalog.visits) & (catalog.visits > 0)
-    assert (times <= catalog.visits).all()
-    return np.array([(done & (catalog.priority == one)).sum() for one in classes])
-
-
-def with_finished(program, catalog):
-    """Return, for each class, weights of the variables of a program that are 1 for finished targets of this class."""
-    n = len(catalog)
-    science = np.ones(n, bool) if catalog.kind is None else has_role(catalog.kind, "science")
-    goals = np.flatnonzero(science & (catalog.visits > 0))
-    first = program.extend(len(goals))
-    for t, y in zip(goals, first, strict=True):
-        visits = np.flatnonzero(program.target == t)
-        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(catalog.visits[t])])
-    weights = np.zeros((len(program.classes), len(program.target)))
-    for k, one in enumerate(program.classes):
-        weights[k, first[catalog.priority[goals] == one]] = 1.0
-    return weights
 
 
 @pytest.mark.parametrize("seeds", SEEDS)
