@@ -243,9 +243,9 @@ def prepare_request(
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
-    elif joint is not None and joint.objective == "finished":
+    elif joint is not None and joint.objective != "visits":
         for name in ["early"] * joint.early + ["subpriority"] * (asked.subpriority is not None):
-            warn_no_effect(name, "with the objective 'finished'")
+            warn_no_effect(name, f"with the objective {joint.objective!r}")
     if is_table(tiles):
         warn_of_targets(tiling, len(source))
     options, seed = asked.for_instrument(instrument), to_seed(rng)

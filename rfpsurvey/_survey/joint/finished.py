@@ -14,13 +14,14 @@ import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
 
 from rfpsurvey._assignment.clock import now
-from rfpsurvey._assignment.solver import maximize, with_errors
 from rfpsurvey._assignment.weighted import WeightedProblem, solve_weighted
 from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
+from rfpsurvey._survey.joint.equal_tiles import EqualTiles
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
-from rfpsurvey._survey.joint.shares import UNITS, Shares, solve_balanced
+from rfpsurvey._survey.joint.shares import solve_balanced
+from rfpsurvey._survey.joint.values import steps_of
 from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_of
 
 # Number of candidates of a patch, in units of the option ``patch_size``; number of candidates up to which one program
@@ -29,6 +30,8 @@ SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
 # Largest number of nodes of a program of a patch; the same times the number of candidates, for a program of all tiles;
 # and largest ratio of the weights of two classes.
 NODES, EFFORT, STEEPEST = 100, 2e6, 1e4
+# Relative rounding error of a bound of values that are not whole numbers.
+ROUNDING = 1e-6
 # Fraction of the remaining time for the programs of all tiles.
 FOR_ALL = 0.8
 
@@ -54,9 +57,13 @@ class FinishedSearch(WindowSearch):
     """
 
     def __init__(self, network: Network, plans: tuple, request, directions: np.ndarray, shares, exposures=None):
-        self._directions, self.bound_of_smallest, self._exposures = directions, np.inf, exposures
+        self.network, self._directions, self._exposures, self.bound_of_smallest = network, directions, exposures, np.inf
         self.shares, self._all_shares = None if shares is None else shares.on(network.slot), shares
-        super().__init__(network, _without_unfinished(network, plans[0]), request)
+        category = request.source.by_slot("category")
+        self.worth = steps_of(network, request.joint.objective, request.builder, category)
+        self.has_moves = request.joint.objective == "finished"
+        self.columns = FinishedSearch.columns if self.has_moves else ("value", "bound_value")
+        super().__init__(network, self._without_surplus(plans[0]), request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
         for plan in plans[1:]:
             plan = _without_collisions(network, plan)
@@ -74,20 +81,43 @@ class FinishedSearch(WindowSearch):
         return dates_of(self.network, epochs, of_slot, np.zeros(n_tiles), np.zeros(n_tiles), 1.0)
 
     def _counts_of_targets(self):
-        return _finished(self.network, self.chosen)
+        return self._counts_of(self.chosen)
+
+    def _counts_of(self, chosen: np.ndarray) -> np.ndarray:
+        """Return the value of each target, and its visits outside of fixed tiles that the value requires."""
+        reached = self.worth.reached(self._made(chosen))
+        value = self.worth.base + self.worth.value_of(reached)
+        counts = np.column_stack([value, np.maximum(self.worth.number_of(reached) - self._fixed, 0)])
+        return counts.astype(np.int64) if self.has_moves else counts
+
+    def _made(self, chosen: np.ndarray) -> np.ndarray:
+        """Return the number of visits of each target."""
+        counted = chosen[self.network.rank[chosen] < self.network.n_classes]
+        return np.bincount(self.network.target[counted], minlength=len(self.network.slot))
 
     @cached_property
-    def _n_fixed(self) -> np.ndarray:
-        """Number of targets of each level that fixed tiles finish."""
-        network = self.network
-        done = (network.rank_of_target < network.n_classes) & (network.visits > 0) & (_wanted(network) == 0)
-        return np.cumsum(np.bincount(network.rank_of_target[done], minlength=network.n_classes))[self.levels]
+    def _fixed(self) -> np.ndarray:
+        """Number of visits of each target on fixed tiles."""
+        return self._made(self.network.start[:-1][np.diff(self.network.start) == 1])
+
+    def _by_level(self, value: np.ndarray) -> np.ndarray:
+        """Return the sum of a value of each target for each level."""
+        by_class = np.bincount(self.network.rank_of_target, value, self.network.n_classes + 1)
+        return np.cumsum(by_class[: self.network.n_classes])[self.levels]
 
     def _without_limits(self, per_visit, per_whole):
-        if self._exposures is not None:  # the numbers of visits suffice
+        if self._exposures is not None:  # a target has at least one visit
             visits = np.array([self._exposures.bound_of_visits(level) for level in self.levels])
-            return visits + per_whole * self._n_fixed
-        return super()._without_limits(per_visit, per_whole) + per_whole * self._n_fixed
+            return visits + per_whole * self._by_level(self.worth.value_of(self.worth.reached(self._fixed)))
+        network, n_tiles = self.network, len(self.request.tiling)
+        positioner, target = network.pairs
+        tile = np.repeat(np.arange(n_tiles), np.diff(network.first))[positioner]
+        number = np.bincount(
+            np.unique(target.astype(np.int64) * n_tiles + tile) // n_tiles, minlength=len(network.slot)
+        )
+        if per_visit:
+            return self._by_level(np.minimum(number, _wanted(network)))
+        return self._by_level(self.worth.base + self.worth.value_of(self.worth.reached(self._fixed + number)))
 
     @property
     def _may_end(self) -> bool:
@@ -96,12 +126,15 @@ class FinishedSearch(WindowSearch):
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of finished targets and of visits of a level."""
         limit = (1 + k) / len(self.levels) * FOR_PRICES
-        n = int(self._n_fixed[k])
-        self.bounds_complete[k] = n + self._bound(k, *WHOLE, int(self.counts[k, 0]) - n, self._minima(), limit)
+        if self.has_moves:
+            n = int(self._by_level(self.worth.value_of(self.worth.reached(self._fixed)))[k])
+            self.bounds_complete[k] = n + self._bound(k, *WHOLE, int(self.counts[k, 0]) - n, self._minima(), limit)
         self.bounds[k] = self.bounds_of_all[k] = self.network.matching(int(self.levels[k]), MOST_EDGES)
 
     def _improve(self, passes: int) -> None:
         """Try to finish each target that is not finished, a number of times."""
+        if not self.has_moves:
+            return
         before = self.chosen.copy()
         super()._improve(passes)
         if self._value(self.chosen) < self._value(before):  # moves do not consider shares
@@ -125,6 +158,21 @@ class FinishedSearch(WindowSearch):
         self.iteration += 1
         self._record()
 
+    @property
+    def _is_open(self) -> np.ndarray:
+        """Whether each level has a gap that is larger than rounding errors."""
+        return self.counts[:, 0] < self.bounds_complete - (0.0 if self._is_whole else ROUNDING * self.bounds_complete)
+
+    def _lower(self, k: int, bound: float) -> None:
+        """Use a bound of the values of a level, without the values before all tiles, if it is smaller."""
+        bound += self._by_level(self.worth.base)[k]
+        self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound) if self._is_whole else bound)
+
+    @cached_property
+    def _is_whole(self) -> bool:
+        """Whether all values are whole numbers."""
+        return bool((self.worth.value % 1 == 0).all() and (self.worth.base % 1 == 0).all())
+
     def _solve_all(self) -> None:
         """Find the best plan, and an upper bound for each level with a gap, by integer programs for all tiles."""
         network, patches = self.network, Patches(self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64))
@@ -132,7 +180,7 @@ class FinishedSearch(WindowSearch):
         if network.n_classes > 1:  # first the plan that is best in the order of the classes
             gains = {-1: self._class_weights(), **gains}
         for k, weights in gains.items():
-            is_open = (self.counts[:, 0] < self.bounds_complete) & ~self._is_proven
+            is_open = self._is_open & ~self._is_proven
             if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
                 continue
             n_open = 1 if k < 0 else int(is_open[k:].sum())
@@ -143,7 +191,7 @@ class FinishedSearch(WindowSearch):
             if k < 0:
                 continue
             if self._is_complete and np.isfinite(bound):
-                self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound))
+                self._lower(k, bound)
             self._is_proven[k] = True  # further iterations use only moves
 
     def _balance(self, is_small: bool) -> None:
@@ -159,7 +207,7 @@ class FinishedSearch(WindowSearch):
             seconds = min(self._limit - self.seconds, 1e9) * (FOR_ALL / (rounds + 1) if is_small else 1.0)
             nodes = int(EFFORT / len(network.target)) if is_small else NODES
             problem = self._program(patches, k, self._class_weights(), time() + seconds, nodes)
-            outside = _finished(network, self.chosen)[:, 0] > 0
+            outside = self._counts_of_targets()[:, 0] > 0
             outside[problem[2]] = False
             given = problem[2], self.shares, self.shares.count(outside), rounds, now() + seconds * (rounds + 1)
             chosen, bound = solve_balanced(problem[1], *given)
@@ -174,15 +222,14 @@ class FinishedSearch(WindowSearch):
             return
         together, shares = self._exposures, self._all_shares
         if together is None:
-            together, shares = _EqualTiles(network), self.shares
+            together, shares = EqualTiles(network, self.worth), self.shares
         if shares is not None and not self.out_of_time():
             end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / 2
             bound = together.bound(network.n_classes - 1, end, shares)
             self.bound_of_smallest = min(self.bound_of_smallest, bound)
-        for k in np.flatnonzero(self.counts[:, 0] < self.bounds_complete):
+        for k in np.flatnonzero(self._is_open):
             if not self.out_of_time():
-                bound = together.bound(self.levels[k], now() + FOR_ALL * min(self._limit - self.seconds, 1e9))
-                self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound))
+                self._lower(k, together.bound(self.levels[k], now() + FOR_ALL * min(self._limit - self.seconds, 1e9)))
 
     def _solve_patches(self, executor) -> None:
         """Improve the plan by integer programs for patches; those that share no set are solved at the same time."""
@@ -220,33 +267,49 @@ class FinishedSearch(WindowSearch):
         rows, problem = patches.within(k, self.chosen, load, limits, np.zeros(len(network.target)), deadline, 0.5)
         target = np.where(network.rank[rows] < n_classes, network.target[rows], -1)
         inside = self.chosen[patches.members[k]]
-        counted = network.rank[self.chosen] < n_classes
-        made = np.bincount(network.target[self.chosen[counted]], minlength=len(network.slot))
-        mine = network.target[inside[network.rank[inside] < n_classes]]
-        needed = network.visits - made + np.bincount(mine, minlength=len(network.slot))
-        number = np.bincount(target[target >= 0], minlength=len(network.slot))
-        goals = np.flatnonzero((network.rank_of_target < n_classes) & (needed > 0) & (number >= needed))
-        m, n = len(goals), len(rows)
-        # two further candidates for each target: it is finished, or it is not
-        link = csr_array((needed[goals].astype(float), (np.arange(m), np.arange(0, 2 * m, 2))), shape=(m, 2 * m))
-        place = np.full(len(network.slot) + 1, -1)
+        there, n_slots = self._made(inside), len(network.slot)
+        outside = self._made(self.chosen) - there
+        able = outside + np.bincount(target[target >= 0], minlength=n_slots)
+        steps, before = self.worth, self.worth.value_of(self.worth.reached(outside))
+        open_steps = np.flatnonzero((steps.number > outside[steps.target]) & (steps.number <= able[steps.target]))
+        of_step = steps.target[open_steps]
+        goals, goal = np.unique(of_step, return_inverse=True)
+        goal = goal.reshape(-1)
+        m, n, q = len(goals), len(rows), len(open_steps)
+        # further candidates for each target: one for each step that it can reach, and one for no further step
+        column = np.arange(q) + goal
+        needed = (steps.number[open_steps] - outside[of_step]).astype(float)
+        link = csr_array((needed, (goal, column)), shape=(m, q + m))
+        place = np.full(n_slots + 1, -1)
         place[goals] = np.arange(m)
         some = np.flatnonzero(place[target] >= 0)
         visits = csr_array((np.full(len(some), -1.0), (place[target[some]], some)), shape=(m, n))
-        sets = vstack([hstack([problem.sets, csr_array((problem.sets.shape[0], 2 * m))]), hstack([visits, link])])
-        gain = np.column_stack([weights[network.rank_of_target[goals]], np.zeros(m)]).ravel()
-        tie = OF_VISITS * min(weights[weights > 0].min(initial=1.0), 1.0) / max(len(problem.start) - 1, 1)
+        sets = vstack([hstack([problem.sets, csr_array((problem.sets.shape[0], q + m))]), hstack([visits, link])])
+        gain = np.zeros(q + m)
+        gain[column] = weights[network.rank_of_target[of_step]] * (steps.value[open_steps] - before[of_step])
+        unit = self._smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
+        tie = OF_VISITS * unit / max(len(problem.start) - 1, 1)
         weight = np.append(
             np.where(target >= 0, tie * weights[np.minimum(network.rank[rows], n_classes - 1)] / weights.max(), 0.0),
             gain,
         )
-        start = np.append(problem.start, n + 2 * np.arange(1, m + 1))
-        now = target[problem.first]
-        done = np.bincount(now[now >= 0], minlength=len(network.slot))[goals] >= needed[goals]
-        first = np.append(problem.first, n + 2 * np.arange(m) + ~done)
-        gap = 0.5 * tie / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1.0)
+        number = np.bincount(goal, minlength=m)
+        ends = np.cumsum(number + 1)
+        start = np.append(problem.start, n + ends)
+        reached = np.bincount(goal[steps.number[open_steps] <= (outside + there)[of_step]], minlength=m)
+        first = np.append(problem.first, n + ends - 1 - number + np.where(reached > 0, reached - 1, number))
+        gap = 0.5 * tie / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1e-12)
         most = np.append(problem.most, np.zeros(m))
         return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline), goals
+
+    @cached_property
+    def _smallest_gain(self) -> float:
+        """Smallest difference between the values of two steps of a target."""
+        steps = self.worth
+        starts = np.zeros(len(steps.value), dtype=bool)
+        starts[steps.indptr[:-1][np.diff(steps.indptr) > 0]] = True
+        gain = np.where(starts, steps.value, np.diff(steps.value, prepend=0.0))
+        return float(gain.min(initial=1.0))
 
     def _take(self, members, problem, chosen) -> None:
         """Use the result of a program if the plan that it gives finishes at least as many targets, class by class."""
@@ -262,23 +325,38 @@ class FinishedSearch(WindowSearch):
 
     def _value(self, chosen) -> tuple:
         """Return the values of a plan in the order of their importance."""
-        values = tuple(_by_class(self.network, chosen))
+        network, value = self.network, self._counts_of(chosen)[:, 0]
+        values = tuple(np.round(np.bincount(network.rank_of_target, value, network.n_classes + 1), 9)[:-1])
         if self.shares is None:
             return values
-        number = self.shares.count(_finished(self.network, chosen)[:, 0])
+        number = self.shares.count(value)
         return *np.sort(np.round(self.shares.fractions(number), 9)), *values
+
+    def _without_surplus(self, chosen: np.ndarray) -> np.ndarray:
+        """Return a plan without visits that bring no value, except visits that meet requirements."""
+        network, made = self.network, self._made(chosen)
+        surplus = np.append(made - self.worth.number_of(self.worth.reached(made)), 0)
+        meets = (network.rules < 0).sum(axis=0) > 0 if len(network.rule_most) else np.zeros(len(network.target), bool)
+        can_change = (network.rank[chosen] < network.n_classes) & (np.diff(network.start) > 1) & ~meets[chosen]
+        rows = np.flatnonzero(can_change & (surplus[network.target[chosen]] > 0))
+        rows = rows[np.argsort(-network.target[chosen[rows]], kind="stable")]
+        number = np.arange(len(rows)) - np.searchsorted(-network.target[chosen[rows]], -network.target[chosen[rows]])
+        rows = rows[number < surplus[network.target[chosen[rows]]]]
+        result = chosen.copy()
+        result[rows] = network.start[rows + 1] - 1
+        return result
 
     @property
     def record(self) -> dict:
         """The finished targets of each category for the summary, if there are shares."""
         if self.shares is None:
             return {}
-        return self.shares.record(_finished(self.network, self.chosen)[:, 0], self.bound_of_smallest)
+        return self.shares.record(self._counts_of_targets()[:, 0], self.bound_of_smallest)
 
     def _use(self, chosen) -> None:
         """Replace the plan."""
         network = self.network
-        self.chosen = _without_unfinished(network, chosen)
+        self.chosen = self._without_surplus(chosen)
         used = np.bincount(self.chosen, minlength=len(network.target))
         self._load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
         self._links.room[:] = self.limits - network.sums(self.chosen)
@@ -298,75 +376,8 @@ class FinishedSearch(WindowSearch):
             for depth in (4, 16, 64):
                 path_kernels.find_paths(order, level, False, depth, links, self.chosen, self._load, left)
         visits = np.where(network.rank_of_target < network.n_classes, network.visits - left, 0)
-        self._done = np.column_stack([_finished(network, self.chosen)[:, 0], visits])
+        self._done = np.column_stack([self._counts_of_targets()[:, 0], visits])
         self._record()
-
-
-class _EqualTiles:
-    """A relaxation in which tiles with equal candidates are one tile, whose candidates are used several times.
-
-    The sum of the uses of the candidates of each positioner, and of each clique, is at most the number of tiles.
-    """
-
-    def __init__(self, network: Network):
-        self.network, first, tiles = network, network.start[network.first], {}
-        cliques = network.matrix[: network.n_cliques].tocsc()
-        for k in range(len(network.first) - 1):
-            part = slice(first[k], first[k + 1])
-            starts = network.start[network.first[k] : network.first[k + 1]] - first[k]
-            mine = cliques[:, part]
-            rows = np.unique(mine.indices, return_inverse=True)[1]
-            key = (starts, network.target[part], network.side[part], mine.indptr, rows)
-            tiles.setdefault(tuple(values.tobytes() for values in key), []).append(k)
-        self.rows = np.concatenate([np.arange(first[same[0]], first[same[0] + 1]) for same in tiles.values()])
-        self.times = np.concatenate([np.full(first[k[0] + 1] - first[k[0]], len(k)) for k in tiles.values()])
-
-    def bound(self, level: int, deadline: float, shares: Shares | None = None) -> float:
-        """Return an upper bound of the number of finished targets of the classes up to a level.
-
-        With ``shares``, return an upper bound of the smallest finished fraction of the categories.
-        """
-        network, times = self.network, self.times.astype(float)
-        rows = self.rows
-        real = network.rank[rows] < network.n_classes
-        able = np.bincount(network.target[rows[real]], self.times[real], len(network.slot))
-        goals = np.flatnonzero((network.rank_of_target <= level) & (network.visits > 0) & (able >= network.visits))
-        place = np.full(len(network.slot) + 1, -1)
-        place[goals] = np.arange(len(goals))
-        place = np.where(real, place[network.target[rows]], -1)
-        keep = place >= 0
-        rows, times, place = rows[keep], times[keep], place[keep]
-        n, m = len(rows), len(goals)
-        owner, number = np.unique(network.positioner[rows], return_inverse=True)
-        single = csr_array((np.ones(n), (number, np.arange(n))), shape=(len(owner), n))
-        cliques = network.matrix[: network.n_cliques].tocsc()[:, rows].tocsr()
-        cliques = cliques[np.flatnonzero(np.diff(cliques.indptr) > 1)]
-        limits = np.concatenate([_largest(part, times) for part in (single, cliques)])
-        visits = csr_array((np.full(n, -1.0), (place, np.arange(n))), shape=(m, n))
-        needed = network.visits[goals].astype(float)
-        link = csr_array((needed, (np.arange(m), np.arange(m))), shape=(m, m))
-        top = vstack([single, cliques])
-        matrix = vstack([hstack([top, csr_array((top.shape[0], m))]), hstack([visits, link])], format="csr")
-        high = np.append(limits, np.zeros(m))
-        goal, most = np.append(np.zeros(n), np.ones(m)), np.append(times, np.ones(m))
-        if shares is not None:
-            count = csr_array(
-                (np.full(m, -1.0), (shares.group[goals], n + np.arange(m))), shape=(len(shares.size), n + m)
-            )
-            unit = csr_array((shares.size * shares.weight / UNITS)[:, None])
-            matrix = vstack([hstack([matrix, csr_array((len(high), 1))]), hstack([count, unit])], format="csr")
-            high = np.append(high, np.zeros(len(shares.size)))
-            goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
-        program = matrix, np.full(len(high), -np.inf), high
-        limits = {"gap": 0.0, "presolve": True, "nodes": int(10 * EFFORT / (n + m))}  # these programs are smaller
-        _, bound = maximize(program, goal, most, deadline, integral=True, **limits)
-        bound = with_errors(bound, n + m)
-        return bound if shares is None else (bound + 1.0) / UNITS
-
-
-def _largest(matrix, values):
-    """Return the largest value of the columns of each row of a matrix."""
-    return np.maximum.reduceat(values[matrix.indices], matrix.indptr[:-1]) if matrix.shape[0] else np.zeros(0)
 
 
 def _wanted(network: Network) -> np.ndarray:
@@ -375,20 +386,6 @@ def _wanted(network: Network) -> np.ndarray:
     counted = fixed[network.rank[fixed] < network.n_classes]
     made = np.bincount(network.target[counted], minlength=len(network.slot))
     return np.where(network.rank_of_target < network.n_classes, np.maximum(network.visits - made, 0), 0)
-
-
-def _finished(network: Network, chosen: np.ndarray) -> np.ndarray:
-    """Return whether each target is finished by a plan, and its visits outside of fixed tiles if it is."""
-    counted = chosen[network.rank[chosen] < network.n_classes]
-    made = np.bincount(network.target[counted], minlength=len(network.slot))
-    done = (made >= network.visits) & (network.visits > 0) & (network.rank_of_target < network.n_classes)
-    return np.column_stack([done, np.where(done, _wanted(network), 0)]).astype(np.int64)
-
-
-def _by_class(network: Network, chosen: np.ndarray) -> np.ndarray:
-    """Return the number of finished targets of each class."""
-    done = _finished(network, chosen)[:, 0]
-    return np.bincount(network.rank_of_target, done, network.n_classes + 1)[: network.n_classes]
 
 
 def _without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
@@ -406,11 +403,3 @@ def _without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
         rows = network.positioner[np.flatnonzero(bad)[::2]]
         chosen = chosen.copy()
         chosen[rows] = network.start[rows + 1] - 1
-
-
-def _without_unfinished(network: Network, chosen: np.ndarray) -> np.ndarray:
-    """Return a plan without the visits of targets that it does not finish, except visits that meet requirements."""
-    done = np.append(_finished(network, chosen)[:, 0], 1)[network.target[chosen]] > 0
-    meets = (network.rules < 0).sum(axis=0) > 0 if len(network.rule_most) else np.zeros(len(network.target), bool)
-    is_useless = (network.rank[chosen] < network.n_classes) & ~done & (np.diff(network.start) > 1) & ~meets[chosen]
-    return np.where(is_useless, network.start[1:] - 1, chosen)

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
 from rfpsurvey._assignment.methods import METHODS
 from rfpsurvey._assignment.options import AllocationOptions, as_options
@@ -24,6 +24,7 @@ from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._sky.arrays import SkyIndex, has_role
 from rfpsurvey._sky.time import to_time
 from rfpsurvey._survey.joint.shares import weights_in
+from rfpsurvey._survey.joint.values import to_objective
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import places_of_tiles, when_of
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -90,9 +91,12 @@ class JointOptions(Settings):
     early : bool, optional
         Whether visits are moved to earlier passes. Plans with the same numbers of visits, and with the same sum of the
         subpriorities if there are any, are compared. This option has no effect with cadences.
-    objective : {"visits", "finished"}, optional
-        What is maximized, one priority after the other: the number of visits, or that of targets with all requested
-        visits (those that were already made count). Cadences are always completed first.
+    objective : str or Table, optional
+        What is maximized, one priority after the other: ``visits`` (the number of visits), ``finished`` (the number of
+        targets with all requested visits), or the sum of values of the targets: a table with the columns ``visits``,
+        ``value`` and optionally ``category``, or text such as ``"1=0.2 3=1"`` or ``"main:3=1 guest:1=0.5"``. A target
+        has the value of the largest of these numbers that its visits reach, otherwise 0. Visits that were already made
+        count. Cadences are always completed first.
     share : str, optional
         Only with the objective ``finished``: ``category``, or weights such as ``"main=2 guest=1"``. The smallest
         finished fraction of the categories of the catalog, divided by its weight (1 by default), is maximized first,
@@ -101,7 +105,8 @@ class JointOptions(Settings):
     Raises
     ------
     InputError
-        If a number is out of range, if ``share`` is not a valid text, or if it is given with another objective.
+        If a number is out of range, if ``share`` or ``objective`` is not valid, or if ``share`` is given with another
+        objective.
 
     Notes
     -----
@@ -126,7 +131,7 @@ class JointOptions(Settings):
     patch_size: int = option(800, low=10, high=100_000)
     allocator: AllocationOptions | str = option("optimal", convert=_check_first, record=None)
     early: bool = option(False, sparse=True)
-    objective: str = option("visits", choices=("visits", "finished"), sparse=True)
+    objective: str | Table = option("visits", convert=to_objective, sparse=True)
     share: str | None = option(None, words="'category' or weights of categories", sparse=True)
 
     def _check(self):

@@ -23,7 +23,7 @@ from rfpsurvey._survey.joint.exposures import Exposures
 from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
-from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of
+from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of, table_of
 from rfpsurvey._survey.joint.shares import Shares
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
@@ -118,6 +118,8 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
     The first value are all targets, and the last one is whether to list each target, if there are too many; else None.
     """
     class_of, names = classes_of(request)
+    if request.joint.objective != "finished":
+        return None, None, [], None
 
     def list_tile(job: Job) -> TileCandidates:
         nothing = np.full(len(request.instrument.focal_plane), -1)
@@ -292,7 +294,7 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
     """
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
     names, has_cadences = classes_of(request)[1], request.cadences is not None
-    is_finished = request.joint.objective == "finished" and not has_cadences
+    is_finished = request.joint.objective != "visits" and not has_cadences
     folder = None if has_cadences or is_finished else folder
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
     fixed = fixed_tiles(request)
@@ -379,27 +381,3 @@ def read_state(folder, n_tiles: int, n_positioners: int, n_levels: int) -> dict[
         return stored
     warn("the search for a joint plan starts again, because its stored state must contain finite numbers, got others")
     return None
-
-
-def table_of(search: Search, names: list[str]) -> QTable:
-    """Return a table with a row for each iteration and priority; its meta contains the values of the last iteration."""
-    rows = []
-    for step in search.steps:
-        for k, level in enumerate(search.levels.tolist()):
-            visits, bound = int(step.visits[k]), max(float(step.bound[k]), float(step.visits[k]))
-            gap = 1.0 - visits / bound if bound else 0.0
-            row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
-            if step.complete is not None:
-                row += int(step.complete[k]), int(max(step.complete[k], step.bound_complete[k]))
-            rows.append(row)
-    columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", "n_complete", "bound_complete")
-    table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)
-    for k, (before, row) in enumerate(zip(rows[:n], rows[-n:], strict=True)):
-        level = {"priority": row[1], "n_visits_before": before[2], "n_visits": row[2], "bound": row[3], "gap": row[4]}
-        level |= dict(zip(columns[6:], row[6:], strict=False))
-        if len(search.limits):
-            level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
-        levels.append(level)
-    gap = max(level["gap"] for level in levels)
-    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap, **search.record}
-    return table

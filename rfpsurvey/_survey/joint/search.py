@@ -11,6 +11,7 @@ from time import perf_counter, time
 from typing import ClassVar, NamedTuple
 
 import numpy as np
+from astropy.table import QTable
 
 from rfpsurvey._assignment.weighted import RowPrices, solve_weighted
 from rfpsurvey._common.executors import map_in_order
@@ -86,6 +87,8 @@ class JointSearch:
 
     record: ClassVar[dict] = {}
     """Further entries of the summary."""
+    columns: ClassVar[tuple[str, str]] = "n_complete", "bound_complete"
+    """Names of the numbers of complete targets, and of their bounds, in the table of iterations."""
 
     @property
     def seconds(self) -> float:
@@ -346,3 +349,28 @@ class Search(JointSearch):
             return
         load[sets] += added
         self.chosen[members] = new
+
+
+def table_of(search: JointSearch, names: list[str]) -> QTable:
+    """Return a table with a row for each iteration and priority; its meta contains the values of the last iteration."""
+    rows = []
+    for step in search.steps:
+        for k, level in enumerate(search.levels.tolist()):
+            visits, bound = int(step.visits[k]), max(float(step.bound[k]), float(step.visits[k]))
+            gap = 1.0 - visits / bound if bound else 0.0
+            row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
+            if step.complete is not None:
+                kind = float if step.complete.dtype.kind == "f" else int
+                row += kind(step.complete[k]), kind(max(step.complete[k], step.bound_complete[k]))
+            rows.append(row)
+    columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", *search.columns)
+    table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)
+    for k, (before, row) in enumerate(zip(rows[:n], rows[-n:], strict=True)):
+        level = {"priority": row[1], "n_visits_before": before[2], "n_visits": row[2], "bound": row[3], "gap": row[4]}
+        level |= dict(zip(columns[6:], row[6:], strict=False))
+        if len(search.limits):
+            level["bound_without_requirements"] = int(max(search.bounds_of_all[k], search.visits[k]))
+        levels.append(level)
+    gap = max(level["gap"] for level in levels)
+    table.meta["summary"] = {"n_iterations": search.iteration, "levels": levels, "gap": gap, **search.record}
+    return table

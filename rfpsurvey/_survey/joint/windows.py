@@ -54,7 +54,7 @@ class WindowSearch(JointSearch):
     @property
     def counts(self) -> np.ndarray:
         """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
-        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
+        by_class = np.zeros((self.network.n_classes + 1, 2), dtype=self._done.dtype)
         np.add.at(by_class, self.network.rank_of_target, self._done)
         return np.cumsum(by_class, axis=0)[self.levels]
 
@@ -95,7 +95,8 @@ class WindowSearch(JointSearch):
     def gaps(self) -> np.ndarray:
         """Relative difference between the number of complete cadences of each level and its upper bound."""
         n = self.counts[:, 0]
-        return 1.0 - n / np.maximum(np.maximum(self.bounds_complete, n), 1.0)
+        most = np.maximum(self.bounds_complete, n)
+        return np.where(most > 0, 1.0 - n / np.where(most > 0, most, 1.0), 0.0)
 
     @property
     def _may_end(self) -> bool:
