@@ -72,7 +72,7 @@ class FinishedSearch(WindowSearch):
                 self._use(plan)
 
     def _make_dates(self):
-        wanted, n_tiles = _wanted(self.network), len(self.request.tiling)
+        wanted, n_tiles = self._wanted, len(self.request.tiling)
         numbers = np.unique(np.append(wanted, 0))
         # a cadence for each number of visits: one epoch without a window; the last one, without epochs, is for 0 visits
         epochs = [np.array([[-1.0], [-1.0], [n], [np.inf]]) for n in numbers[1:]] + [np.empty((4, 0))]
@@ -100,6 +100,12 @@ class FinishedSearch(WindowSearch):
         """Number of visits of each target on fixed tiles."""
         return self._made(self.network.start[:-1][np.diff(self.network.start) == 1])
 
+    @property
+    def _wanted(self) -> np.ndarray:
+        """Number of visits that each target requires in addition to those of fixed tiles."""
+        network = self.network
+        return np.where(network.rank_of_target < network.n_classes, np.maximum(network.visits - self._fixed, 0), 0)
+
     def _by_level(self, value: np.ndarray) -> np.ndarray:
         """Return the sum of a value of each target for each level."""
         by_class = np.bincount(self.network.rank_of_target, value, self.network.n_classes + 1)
@@ -116,7 +122,7 @@ class FinishedSearch(WindowSearch):
             np.unique(target.astype(np.int64) * n_tiles + tile) // n_tiles, minlength=len(network.slot)
         )
         if per_visit:
-            return self._by_level(np.minimum(number, _wanted(network)))
+            return self._by_level(np.minimum(number, self._wanted))
         return self._by_level(self.worth.base + self.worth.value_of(self.worth.reached(self._fixed + number)))
 
     @property
@@ -287,7 +293,7 @@ class FinishedSearch(WindowSearch):
         sets = vstack([hstack([problem.sets, csr_array((problem.sets.shape[0], q + m))]), hstack([visits, link])])
         gain = np.zeros(q + m)
         gain[column] = weights[network.rank_of_target[of_step]] * (steps.value[open_steps] - before[of_step])
-        unit = self._smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
+        unit = self.worth.smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
         tie = OF_VISITS * unit / max(len(problem.start) - 1, 1)
         weight = np.append(
             np.where(target >= 0, tie * weights[np.minimum(network.rank[rows], n_classes - 1)] / weights.max(), 0.0),
@@ -301,15 +307,6 @@ class FinishedSearch(WindowSearch):
         gap = 0.5 * tie / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1e-12)
         most = np.append(problem.most, np.zeros(m))
         return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline), goals
-
-    @cached_property
-    def _smallest_gain(self) -> float:
-        """Smallest difference between the values of two steps of a target."""
-        steps = self.worth
-        starts = np.zeros(len(steps.value), dtype=bool)
-        starts[steps.indptr[:-1][np.diff(steps.indptr) > 0]] = True
-        gain = np.where(starts, steps.value, np.diff(steps.value, prepend=0.0))
-        return float(gain.min(initial=1.0))
 
     def _take(self, members, problem, chosen) -> None:
         """Use the result of a program if the plan that it gives finishes at least as many targets, class by class."""
@@ -339,9 +336,9 @@ class FinishedSearch(WindowSearch):
         meets = (network.rules < 0).sum(axis=0) > 0 if len(network.rule_most) else np.zeros(len(network.target), bool)
         can_change = (network.rank[chosen] < network.n_classes) & (np.diff(network.start) > 1) & ~meets[chosen]
         rows = np.flatnonzero(can_change & (surplus[network.target[chosen]] > 0))
-        rows = rows[np.argsort(-network.target[chosen[rows]], kind="stable")]
-        number = np.arange(len(rows)) - np.searchsorted(-network.target[chosen[rows]], -network.target[chosen[rows]])
-        rows = rows[number < surplus[network.target[chosen[rows]]]]
+        rows = rows[np.argsort(network.target[chosen[rows]], kind="stable")]
+        target = network.target[chosen[rows]]
+        rows = rows[np.arange(len(rows)) - np.searchsorted(target, target) < surplus[target]]
         result = chosen.copy()
         result[rows] = network.start[rows + 1] - 1
         return result
@@ -378,14 +375,6 @@ class FinishedSearch(WindowSearch):
         visits = np.where(network.rank_of_target < network.n_classes, network.visits - left, 0)
         self._done = np.column_stack([self._counts_of_targets()[:, 0], visits])
         self._record()
-
-
-def _wanted(network: Network) -> np.ndarray:
-    """Return the number of visits that each target requires in addition to those of fixed tiles."""
-    fixed = network.start[:-1][np.diff(network.start) == 1]
-    counted = fixed[network.rank[fixed] < network.n_classes]
-    made = np.bincount(network.target[counted], minlength=len(network.slot))
-    return np.where(network.rank_of_target < network.n_classes, np.maximum(network.visits - made, 0), 0)
 
 
 def _without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:

@@ -88,6 +88,12 @@ class Steps(NamedTuple):
         """Return the number of visits that is required to reach a number of steps."""
         return np.where(reached > 0, np.append(self.number, 0)[self.indptr[:-1] + reached - 1], 0)
 
+    @property
+    def smallest_gain(self) -> float:
+        """Smallest difference between the values of two steps of a target, at most 1."""
+        is_first = np.append(-1, self.target[:-1]) != self.target if len(self.target) else np.empty(0, dtype=bool)
+        return float(np.where(is_first, self.value, np.diff(self.value, prepend=0.0)).min(initial=1.0))
+
 
 def steps_of(network: Network, objective: str, builder, category: np.ndarray | None) -> Steps:
     """Return the steps of the targets of a network; ``category`` is the category of each target in order of slots."""
