@@ -1,17 +1,21 @@
 """Finished targets of joint plans that maximize visits or finished targets (page on joint plans).
 
 Run ``python tests/benchmarks/finished_figures.py``, which takes about ten minutes. With ``--share``, it prints the
-finished fractions of three categories with and without shares.
+finished fractions of three categories with and without shares. With ``--peer``, it plans each scene also with netflow,
+the planner of PFS (``planners/pfs_netflow.py`` states how to install it), with a time limit of ``--peer-seconds``.
+``planners/judge.py`` counts the finished targets of both plans; visits by fibers that collide do not count.
 """
 
+import sys
 import warnings
 from dataclasses import replace
+from pathlib import Path
 from time import process_time
 
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table, vstack
 from measure import arguments, in_circle
 
 import rfpsurvey as rs
@@ -37,13 +41,52 @@ def scene(n, seed, n_cobras=400, exposures=3):
 
 
 def measured(objective, seconds, catalog, pfs, tiles):
-    """Return the numbers of finished targets and of visits, the upper bound, and the processor time."""
+    """Return the numbers of finished targets and of visits, the upper bound, the processor time, and the survey."""
     joint = rs.JointOptions(objective=objective, time_limit=seconds * u.s)
     begin = process_time()
     survey = rs.plan_survey(catalog, pfs, tiles, allocator=joint)
     spent, made = process_time() - begin, np.asarray(survey.outcomes["observed"])
     bound = survey.summary["joint"]["levels"][0].get("bound_complete")
-    return int((made >= catalog.visits).sum()), int(made.sum()), bound, spent
+    return int((made >= catalog.visits).sum()), int(made.sum()), bound, spent, survey
+
+
+def print_peer(seconds, peer_seconds, catalog, pfs, tiles):
+    """Print the bounds and times of a joint plan and of a plan of netflow, and what the judge counts."""
+    sys.path.append(str(Path(__file__).parent / "planners"))
+    import pfs_netflow
+    from scene import scene_of
+
+    xy = pfs.projection(CENTER).to_focal_plane(catalog.coord)
+    whole = scene_of(pfs, Table(xy.to_value(u.mm), names=("x", "y")), name="finished")
+    _, _, bound, spent, survey = measured("finished", seconds, catalog, pfs, tiles)
+    parts = [(tile["positioner"], tile["target_id"], np.full(len(tile), k)) for k, tile in enumerate(survey)]
+    plan = vstack([Table(part, names=("positioner", "target", "exposure")) for part in parts])
+    print(f"  rfpsurvey: bound {bound}, {spent:.2f} s; {judged(whole, catalog, pfs, plan)}", flush=True)
+    plan, solved, facts = pfs_netflow.plan(whole, peer_seconds, catalog.visits, len(tiles))
+    times = f"{facts['pairs_s']:.2f} s to build and {solved:.2f} s to solve the program"
+    print(f"  netflow: bound {facts['bound']}, {times}; {judged(whole, catalog, pfs, plan)}", flush=True)
+
+
+def judged(whole, catalog, pfs, plan):
+    """Return a text with the numbers of finished targets and colliding fibers of a plan, without and with idle arms."""
+    from judge import judge_tile
+
+    text = []
+    for idle, name in ((False, "without idle arms"), (True, "with idle arms")):
+        made, colliding = np.zeros(len(catalog), dtype=int), 0
+        for k in np.unique(plan["exposure"]):
+            part = plan[plan["exposure"] == k]
+            counts, observed, wrong = judge_tile((whole.positioners, whole.targets, whole.settings), part, idle)
+            made[[int(target) for _, target, _ in observed]] += 1
+            colliding += counts["colliding"]
+            tips = np.full((len(whole.positioners), 2), np.nan)
+            rows = np.asarray(part["positioner"])  # identifiers are row numbers
+            tips[rows] = np.column_stack([whole.targets[axis][part["target"]] for axis in ("x", "y")])
+            report = rs.find_collisions(pfs.focal_plane, tips * u.mm, parked_obstacles=idle)
+            assert not +wrong, wrong
+            assert report.in_collision[rows].sum() == counts["colliding"], (report, counts)
+        text.append(f"{name}: {(made >= catalog.visits).sum()} finished, {colliding} fibers collide")
+    return "; ".join(text)
 
 
 def print_shares(seconds):
@@ -62,15 +105,19 @@ def print_shares(seconds):
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
-    given = arguments(__doc__, seconds=60.0, large=240.0, share=False)
+    given = arguments(__doc__, seconds=60.0, large=240.0, share=False, peer=False, peer_seconds=600.0)
     if given.share:
         raise SystemExit(print_shares(given.large))
     scenes = [(given.seconds, {"n": n, "seed": seed}) for n, seed in SMALL]
     scenes += [(given.large, {"n": 7182, "seed": seed, "n_cobras": 2394, "exposures": 7}) for seed in (5, 6)]
     measured("finished", 1.0, *scene(320, 1))
     for seconds, options in scenes:
+        if given.peer:
+            print(options, flush=True)
+            print_peer(seconds, given.peer_seconds, *scene(**options))
+            continue
         for objective in ("visits", "finished"):
-            done, visits, bound, spent = measured(objective, seconds, *scene(**options))
+            done, visits, bound, spent, _ = measured(objective, seconds, *scene(**options))
             print(
                 f"{options} {objective:<8}: {done} finished, bound {bound}, {visits} visits, {spent:.1f} s", flush=True
             )

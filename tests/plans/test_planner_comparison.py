@@ -273,6 +273,42 @@ def test_netflow_refuses_more_classes_than_its_costs_can_order(classes, requirem
             netflow.plan(scene, 1.0)
 
 
+def test_netflow_plans_several_visits_in_several_exposures(netflow, presets, monkeypatch):
+    """The times are those of the visits; the bound follows from the bound 25 of the cost, at 10 for each target."""
+    plane = presets["pfs"].focal_plane
+    part = rs.FocalPlane(plane.xy[:4], plane.positioner, id=plane.id[:4] + 100)
+    instrument = rs.Instrument("small", part, plate_scale=presets["lamost"].plate_scale)
+    targets = Table({"id": [10, 11, 12, 13, 14], "x": np.arange(5.0), "y": np.zeros(5)})
+    targets["kind"] = ["sky", *["science"] * 4]
+    scene = scenes.scene_of(instrument, targets, name="small")
+    values = {f"STC_T_0_P0_{k}": 1.0 for k in range(1, 5)}
+    values |= {"Tv_Cv_0_3_0": 1.0, "Tv_Cv_0_3_2": 1.0, "Tv_Cv_2_0_1": 1.0, "Tv_Cv_2_1_1": 0.0}
+    given, solver = {}, SimpleNamespace(getInfo=lambda: SimpleNamespace(mip_dual_bound=25.0))
+
+    class Program(SimpleNamespace):
+        """A solved program, which ignores what is added."""
+
+        def __iadd__(self, other):
+            return self
+
+    def build(bench, targets, tpos, costs, duration, **options):
+        given.update(times=[target[3] for target in targets], tpos=tpos, duration=duration)
+        program = Program(sol_status=1, solve=lambda solver: None, solverModel=solver)
+        variables = {name: SimpleNamespace(value=lambda x=x: x) for name, x in values.items()}
+        return SimpleNamespace(_prob=program, cost=0, _constr=[], _vardict=variables)
+
+    monkeypatch.setattr(netflow, "bench_of", lambda scene: None)
+    netflow.netflow.buildProblem = build
+    netflow.pulp.HiGHS, netflow.pulp.LpSolutionOptimal = lambda **options: None, 1
+    plan, _, facts = netflow.plan(scene, 1.0, np.array([9, 2, 3, 1, 1]), 3)
+    assert given["times"] == [1800, 2700, 900, 900]
+    assert given["duration"] == 900
+    assert [xy.tolist() for xy in given["tpos"]] == [[1, 2, 3, 4]] * 3
+    rows = [list(row) for row in plan.iterrows("positioner", "target", "exposure")]
+    assert rows == [[plane.id[3] + 100, 11, 0], [plane.id[3] + 100, 11, 2], [plane.id[0] + 100, 13, 1]]
+    assert (facts["gap"], facts["bound"]) == ("0", 1)
+
+
 def test_tiles_are_planned_one_after_the_other_without_targets_that_have_a_fiber(presets):
     """A planner that takes the first target of each tile observes three targets in three tiles."""
     plane = presets["lamost"].focal_plane

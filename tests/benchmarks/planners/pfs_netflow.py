@@ -7,10 +7,11 @@ with ``pip install --no-deps``, add ``python`` of https://github.com/Subaru-PFS/
 netflow takes the cobras from cobraCharmer, which needs the files of the instrument; small stand-ins give it the
 cobras of the scene instead, with the same elbows. Rules: two tips, or a tip and an outer arm, are at least as far
 apart as the separation, and targets in dots are left out. One target of a class costs 100 times as much as one of the
-next class, and calibration targets cost most. Switched off, because the scenes have nothing of the kind: several
-visits, fiducials, broken cobras, groups of sky fibers, and costs of moves and dots. PuLP's call of the solver CBC is
-replaced by a call of HiGHS with one thread and no allowed gap. ``pairs_s`` is the time in which netflow builds the
-program; it is not part of the time of the program.
+next class, and calibration targets cost most. A target with some of its visits costs more than any number of targets
+without a visit. Switched off, because the scenes have nothing of the kind: fiducials, broken cobras, groups of sky
+fibers, and costs of moves and dots. PuLP's call of the solver CBC is replaced by a call of HiGHS with one thread and no
+allowed gap. ``pairs_s`` is the time in which netflow builds the program; it is not part of the time of the program.
+``bound`` is an upper bound of the number of targets with all their visits, if there is one class.
 """
 
 import contextlib
@@ -37,6 +38,8 @@ except ImportError as error:
     raise ImportError(f"netflow, cobraOps or PuLP cannot be imported: {error}") from error
 
 VERSION = version("ets_fiber_assigner")
+EXPOSURE = 900.0
+"""Time of a visit (s)."""
 CALIBRATION = 1e6
 """Cost of a calibration target that is missing."""
 MOST_CLASSES, MOST_CLASSES_RULES = 5, 3
@@ -92,8 +95,11 @@ def bench_of(scene) -> "Bench":
     return Bench(coach, dots, fiducials=pandas.DataFrame({"x_mm": [], "y_mm": []}, dtype=float))
 
 
-def plan(scene, seconds: float) -> tuple[Table, float, dict]:
-    """Return the plan of a scene, the processor time (s) of the solver, and facts about the search."""
+def plan(scene, seconds: float, visits: np.ndarray | None = None, exposures: int = 1) -> tuple[Table, float, dict]:
+    """Return the plan of a scene, the processor time (s) of the solver, and facts about the search.
+
+    Without ``visits``, each target requires one visit.
+    """
     p, t, s = scene.positioners, scene.targets, scene.settings
     free = (np.asarray(p["theta_max"]) - p["theta_min"] >= 360).all() and (np.asarray(p["phi_max"]) > 1e6).all()
     if s["shape"] != "segment" or s["length"] is not None or s["circles"] or s["polygons"] or s["handedness"] == "both":
@@ -114,8 +120,9 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
     for one in s["requirements"]:
         costs[one["what"]] = {"numRequired": one["minimum"], "nonObservationCost": CALIBRATION, "calib": True}
     rows = [k for k in range(len(t)) if kinds[k] == "science" or kinds[k] in costs]
+    needed = np.ones(len(t)) if visits is None else visits
     wanted = [
-        netflow.ScienceTarget(k, 0, 0, 900.0, level := classes.index(priority[k]), level)
+        netflow.ScienceTarget(k, 0, 0, EXPOSURE * needed[k], level := classes.index(priority[k]), level)
         if kinds[k] == "science"
         else netflow.CalibTarget(k, 0, 0, kinds[k])
         for k in rows
@@ -126,9 +133,9 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
         problem = netflow.buildProblem(
             bench_of(scene),
             wanted,
-            [xy],
+            [xy] * exposures,
             costs,
-            900.0,
+            EXPOSURE,
             collision_distance=s["min_separation"],
             gurobi=False,
             fiberNonAllocationCost=0.1 if s["requirements"] else 0.0,
@@ -142,15 +149,18 @@ def plan(scene, seconds: float) -> tuple[Table, float, dict]:
     model.solve(pulp.HiGHS(msg=False, threads=1, timeLimit=seconds, gapRel=0.0))
     spent = process_time() - middle
     used = [
-        name.split("_")[2:4] for name, x in problem._vardict.items() if name.startswith("Tv_Cv_") and x.value() > 0.5
+        [int(row) for row in name.split("_")[2:]]
+        for name, x in problem._vardict.items()
+        if name.startswith("Tv_Cv_") and x.value() > 0.5
     ]
-    table = Table(
-        {
-            "positioner": np.asarray(p["id"])[[int(cobra) for _, cobra in used]],
-            "target": np.asarray(t["id"])[[rows[int(k)] for k, _ in used]],
-        }
-    )
-    return table, spent, {"gap": "0" if model.sol_status == pulp.LpSolutionOptimal else "", "pairs_s": middle - begin}
+    row, cobra, exposure = np.reshape(used, (-1, 3)).T.astype(int)
+    columns = np.asarray(p["id"])[cobra], np.asarray(t["id"])[np.array(rows)[row]], exposure
+    facts = {"gap": "0" if model.sol_status == pulp.LpSolutionOptimal else "", "pairs_s": middle - begin}
+    if set(costs) == {"0_P0"}:
+        unfinished = max(model.solverModel.getInfo().mip_dual_bound, 0.0) / costs["0_P0"]["nonObservationCost"]
+        in_reach = sum(name.startswith("STC_T_") for name in problem._vardict)
+        facts["bound"] = int(np.floor(in_reach - unfinished + 1e-4))
+    return Table(columns, names=("positioner", "target", "exposure")), spent, facts
 
 
 PLANS = {"netflow": plan}
