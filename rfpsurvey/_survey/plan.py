@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
@@ -209,20 +208,20 @@ def prepare_request(
     catalog = given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
     if isinstance(visits, VisitRule):
         catalog, visits = first_visits(catalog, visits)
-    cadences = visits if isinstance(visits, Cadences) else None
-    if cadences is not None:
-        catalog = in_memory(catalog, "cadences")
-        cadences, visits = (cadences, cadences.of(catalog)), cadences.visits(catalog)
-        if catalog.subpriority is not None:
-            warn("the subpriorities of the catalog have no effect on a survey with cadences")
-        if catalog.visits is not None and (catalog.visits > 1).any():
-            warn("the visits of the catalog have no effect on a survey with cadences, except 0")
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested
     asked, joint = as_joint(allocator, order)
-    if cadences is not None and (required := mark_required(asked.required_ids, [catalog.id])) is not None:
-        visits = np.where(required, cadences[0].visits(replace(catalog, visits=None)), visits)
+    cadences = visits if isinstance(visits, Cadences) else state and state.cadences
+    if cadences is not None:
+        catalog = in_memory(catalog, "cadences")
+        if state is None:
+            visits = cadences.visits(catalog, mark_required(asked.required_ids, [catalog.id]))
+        cadences = cadences, cadences.of(catalog)
+        if catalog.subpriority is not None:
+            warn("the subpriorities of the catalog have no effect on a survey with cadences")
+        if catalog.visits is not None and (catalog.visits > 1).any():
+            warn("the visits of the catalog have no effect on a survey with cadences, except 0")
     asked.check_for_fields("a survey")
     asked = with_recorded_moves(asked, folder if state is None else state.folder)
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):

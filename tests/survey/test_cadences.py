@@ -114,7 +114,7 @@ def test_other_orders_workers_and_interruptions(tmp_path):
     assert (again.outcomes["observed"] == first.outcomes["observed"]).all()
     with pytest.raises(rs.InputError, match="cadences"):
         plan(catalog, tiling, folder=tmp_path / "b", resume=True, visits=TABLE[::-1])
-    with pytest.raises(rs.InputError, match="holds a survey with cadences, which cannot be continued"):
+    with pytest.raises(rs.InputError, match="visits must be the Cadences of the survey in .*, got None"):
         first.state(catalog)
 
 
@@ -308,13 +308,15 @@ def test_closing_windows_have_precedence_with_every_allocator(allocator):
 
 
 def test_surveys_with_cadences_refuse_what_does_not_support_them(tmp_path):
-    """Regression: selection probabilities ignored cadences, and events could be recorded that could not be used."""
+    """Regression: selection probabilities ignored cadences."""
     catalog, tiling = scene(1)
     survey = plan(catalog, tiling, folder=tmp_path / "survey")
     with pytest.raises(rs.InputError, match="must be computed for a survey without cadences"):
         rs.selection_probabilities(catalog, instrument(), survey, 2, allocator="nearest")
-    with pytest.raises(rs.InputError, match="must be recorded in a survey without cadences"):
-        survey.record([{"tile": 0, "date": "2026-01-03"}])
+    with pytest.raises(rs.InputError, match="must be computed for a survey without cadences"):
+        survey.select(2, allocator="nearest")
+    with pytest.raises(rs.InputError, match="added tiles of a survey with cadences must have times, .*, got 99"):
+        survey.record([{"tile": 99, "state": "added", "ra": 120.1, "dec": 30.0}])
     assert not (tmp_path / "survey/events").exists()
     few = rs.Catalog(catalog.coord, visits=np.where(np.arange(len(catalog)) % 2, 0, 3), extra=catalog.extra)
     with pytest.warns(rs.RfpsurveyWarning, match="the visits of the catalog have no effect"):

@@ -18,6 +18,7 @@ from rfpsurvey._assignment.weighted import GivenPlan, ListCandidates, TileCandid
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.units import exact_text
 from rfpsurvey._field.targets import FieldBuilder
+from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
@@ -49,9 +50,8 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    state, plans = request.open_state(), [None] * len(request.tiling)
+    state, plans = _state_after(request, fixed), [None] * len(request.tiling)
     for tile, observed in fixed.items():
-        state.left[observed.spent(request.builder)] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
 
     def enter(tile: int, job: Job, answer: tuple) -> None:
@@ -66,6 +66,14 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
     for done, _ in enumerate(results, len(fixed) + 1):
         tell(done)
     return plans
+
+
+def _state_after(request, fixed: dict) -> Bookkeeping:
+    """Return the state after the visits of fixed tiles."""
+    state = request.open_state()
+    for tile, observed in fixed.items():
+        state.spend(observed.spent(request.builder), tile)
+    return state
 
 
 def list_all(
@@ -254,11 +262,12 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
         The value of ``progress`` for the step after the search, in which the tiles are written.
     """
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
-    names, has_cadences = classes_of(request)[1], request.cadences is not None
+    (class_of, names), has_cadences = classes_of(request), request.cadences is not None
     is_finished = request.joint.objective == "finished" and not has_cadences
     folder = None if has_cadences or is_finished else folder
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
     fixed = fixed_tiles(request)
+    before = _state_after(request, fixed)
     tell, steps = progress, n + request.joint.iterations + 1
     if callable(progress):  # the search and the writing of the tiles report the same total number of steps
         tell, progress = (partial(_tell, progress, before, steps + n) for before in (0, steps))
@@ -274,11 +283,13 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
         goals = [] if has_cadences or is_finished else goals_of(request, network, subpriority)
         chosen = place(network, plans)
         if has_cadences:
-            search = WindowSearch(network, chosen, request)
+            search = WindowSearch(network, chosen, request, before)
         elif is_finished:
             search = FinishedSearch(network, chosen, request, directions)
         else:
             search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
+        is_complete = (request.builder.wanted > 0) & ((request.builder if is_finished else before).left == 0)
+        search.complete_before = np.cumsum(np.bincount(class_of[is_complete], minlength=len(names)))[search.levels]
         if stored is None:
             search.begin()
             if request.joint.inform is not None:
@@ -347,7 +358,8 @@ def table_of(search: Search, names: list[str]) -> QTable:
             gap = 1.0 - visits / bound if bound else 0.0
             row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
             if step.complete is not None:
-                row += int(step.complete[k]), int(max(step.complete[k], step.bound_complete[k]))
+                complete = step.complete[k], max(step.complete[k], step.bound_complete[k])
+                row += tuple(int(n + search.complete_before[k]) for n in complete)
             rows.append(row)
     columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", "n_complete", "bound_complete")
     table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)

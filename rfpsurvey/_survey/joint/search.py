@@ -83,6 +83,8 @@ class JointSearch:
         self.bounds_of_all = self.bounds.copy()
         self.iteration, self.spent, self._reserved, self._begin = 0, 0.0, 0.0, perf_counter()
         self.steps: list[Step] = []
+        self.complete_before = np.zeros(len(self.levels), dtype=np.int64)
+        """Number of targets of each level that need no further visits."""
 
     record: ClassVar[dict] = {}
     """Further entries of the summary."""

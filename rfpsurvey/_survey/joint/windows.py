@@ -7,9 +7,12 @@ bounds, prices replace the limits that a positioner has one target and that arms
 optimization); each target then has its own best sequence.
 """
 
+from copy import deepcopy
+
 import numpy as np
 
 from rfpsurvey._kernels import windows as kernels
+from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import NIGHT
 from rfpsurvey._survey.joint.network import Network, Paths
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
@@ -25,11 +28,14 @@ ROUNDING = 1e-6, 1e-9
 
 
 class WindowSearch(JointSearch):
-    """A plan of all tiles that observes targets in their windows, and upper bounds."""
+    """A plan of all tiles that observes targets in their windows, and upper bounds.
 
-    def __init__(self, network: Network, chosen: np.ndarray, request):
+    ``before`` is the state after the visits that were already made, and those of fixed tiles.
+    """
+
+    def __init__(self, network: Network, chosen: np.ndarray, request, before: Bookkeeping | None = None):
         super().__init__(network, chosen, request.joint)
-        self.request, self._links = request, Paths(network).links
+        self.request, self._before, self._links = request, before, Paths(network).links
         self._dates, place_of, self._time_of = self._make_dates()
         self._place_of = place_of
         self._work, self._picked = _work_for(self._dates)
@@ -45,11 +51,15 @@ class WindowSearch(JointSearch):
 
     def _make_dates(self) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
         """Return the result of `dates_of`."""
-        request = self.request
+        request, network, windows = self.request, self.network, self._before.windows
         cadences, row = request.cadences
-        return dates_of(
-            self.network, cadences.epochs, request.source.to_slots(row), request.days, request.brightness, NIGHT
-        )
+        given = cadences.epochs, request.source.to_slots(row), request.times, request.brightness, NIGHT
+        dates, *others = dates_of(network, *given)
+        slot = np.where(network.rank_of_target < network.n_classes, network.slot, -1)
+        past = dict(zip(("skipped", "made", "begun", "previous"), windows.past(), strict=True))
+        fresh = {name: getattr(dates, name) for name in past}
+        past = {name: np.where(slot >= 0, values[slot], fresh[name]) for name, values in past.items()}
+        return dates._replace(**past), *others
 
     @property
     def counts(self) -> np.ndarray:
@@ -64,15 +74,17 @@ class WindowSearch(JointSearch):
         return self.counts[:, 1]
 
     def _counts_of_targets(self) -> np.ndarray:
-        """Return whether each target is complete, and its number of visits, in the first plan."""
-        network, windows = self.network, self.request.open_state().windows
+        """Return whether the first plan completes each target, and its number of visits in new epochs."""
+        network, windows = self.network, deepcopy(self._before.windows)
+        before = windows.counts()
         slots = np.append(network.slot, -1)[network.target[self.chosen]]
-        counted = network.rank[self.chosen] < network.n_classes
-        for tile in np.argsort(self.request.days, kind="stable").tolist():
+        # positioners of fixed tiles have a single candidate
+        counted = (network.rank[self.chosen] < network.n_classes) & (np.diff(network.start) > 1)
+        for tile in np.argsort(self.request.times, kind="stable").tolist():
             part = slice(network.first[tile], network.first[tile + 1])
             slot = slots[part][counted[part]]
             windows.enter(slot[windows.state(slot, tile)[0]], tile)
-        counts = np.concatenate([windows.counts(), np.zeros((1, 2), dtype=np.int64)])
+        counts = np.concatenate([windows.counts() - before, np.zeros((1, 2), dtype=np.int64)])
         return counts[np.where(network.rank_of_target < network.n_classes, network.slot, -1)]
 
     def begin(self) -> None:
@@ -110,7 +122,7 @@ class WindowSearch(JointSearch):
     def _improve(self, passes: int) -> None:
         """Try to complete each target that is not complete, a number of times."""
         rng = np.random.default_rng([self.request.seed, self.iteration, passes])
-        totals = np.diff(self._dates.e_indptr)[self._dates.cadence]
+        totals = np.diff(self._dates.e_indptr)[self._dates.cadence] - self._dates.skipped
         real = (self.network.rank_of_target < self.network.n_classes) & (totals > 0)
         gain = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
         for _ in range(passes):
@@ -249,7 +261,9 @@ def dates_of(
     of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
     of_tiles = days[in_time], brightness[in_time], night
     cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
-    return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
+    past = np.zeros((2, n_targets), dtype=np.int64), np.full((2, n_targets), np.nan)
+    dates = kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles, *past[0], *past[1])
+    return dates, place_of, time_of
 
 
 def _starts(index: np.ndarray, n: int) -> np.ndarray:

@@ -150,9 +150,11 @@ def selection_probabilities(
     """
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
-    if survey is not None and "cadences" in survey.provenance["parameters"]:
+    of_survey = {} if survey is None else survey.provenance["parameters"]
+    if "cadences" in of_survey or (is_state and catalog.cadences is not None):
         raise InputError(
-            "selection probabilities must be computed for a survey without cadences, got one with cadences"
+            "selection probabilities must be computed for a survey without cadences, because realizations contain only "
+            "the numbers of remaining visits and not the times of visits, got one with cadences"
         )
     if survey is not None:
         tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
