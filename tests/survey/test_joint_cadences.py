@@ -45,7 +45,7 @@ def counts_of_needs(part):
 
 
 @pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
-@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 6))])
+@pytest.mark.parametrize("chunk", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in (0, 2, 3, 4, 5))])
 @pytest.mark.parametrize("roles", [False, True])
 def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(roles, chunk):
     """Regression: in joint plans, each fiber of a science target that is also a standard used a visit."""
@@ -82,7 +82,7 @@ def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(roles, chunk):
         assert before <= found <= best, seed
         n_best += found == best
         n_better += found > before
-    assert n_best >= 0.8 * CHUNK or roles
+    assert n_best == CHUNK
     assert n_better
     assert n_reused or not roles
 

@@ -40,7 +40,7 @@ class FinishedSearch(WindowSearch):
         self._directions, self.bound_of_smallest = directions, np.inf
         category = request.source.by_slot("category")
         self.shares = Shares.of(request.joint.share, category, network) if request.joint.share else None
-        super().__init__(network, _without_unfinished(network, chosen), request)
+        super().__init__(network, chosen, request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
 
     def _make_dates(self):
@@ -245,15 +245,7 @@ class FinishedSearch(WindowSearch):
 
     def _use(self, chosen) -> None:
         """Replace the plan."""
-        network = self.network
-        self.chosen = _without_unfinished(network, chosen)
-        used = np.bincount(self.chosen, minlength=len(network.target))
-        self._load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
-        self._links.room[:] = self.limits - network.sums(self.chosen)
-        self._used[:] = -1
-        mine = self.chosen[self._place_of[self.chosen] >= 0]
-        self._used[self._place_of[mine]] = mine
-        self._done = self._counts_of_targets()
+        super()._use(_without_unfinished(self.network, chosen))
 
     def add_visits(self) -> None:
         """Add visits of targets that are not finished, along paths that keep the visits of all other targets."""

@@ -8,15 +8,21 @@ optimization); each target then has its own best sequence.
 """
 
 from copy import deepcopy
+from itertools import product
 
 import numpy as np
 
+from rfpsurvey._assignment.clock import now
 from rfpsurvey._kernels import windows as kernels
+from rfpsurvey._kernels.paths import TOLERANCE
 from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import NIGHT
-from rfpsurvey._survey.joint.network import Network, Paths
+from rfpsurvey._survey.joint.network import Network, Patches, Paths
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
+from rfpsurvey._survey.joint.sequences import SequenceProgram, all_sequences
 
+# Largest number of candidates, and of sequences, up to which one program contains all tiles.
+MOST_OF_ALL = 10_000
 # Number of times that an iteration considers each target that is not complete.
 PASSES = 20
 # Number of adjustments of the prices for each bound. The step is halved if the bound does not decrease LATE times.
@@ -41,12 +47,8 @@ class WindowSearch(JointSearch):
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
         self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
-        self._load = network.matrix[: network.n_cliques] @ np.bincount(chosen, minlength=len(network.target))
-        self._load = self._load.astype(np.int64)
-        self._links.room[:] = self.limits - network.sums(chosen)
-        self._used, self._done = np.full(n_places, -1), self._counts_of_targets()
-        mine = chosen[place_of[chosen] >= 0]
-        self._used[place_of[mine]] = mine
+        self._used = np.full(n_places, -1)
+        self._use(self.chosen)
         self.bounds_complete = self.bounds.copy()
 
     def _make_dates(self) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
@@ -64,9 +66,13 @@ class WindowSearch(JointSearch):
     @property
     def counts(self) -> np.ndarray:
         """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
+        return np.cumsum(self._by_class, axis=0)[self.levels]
+
+    @property
+    def _by_class(self) -> np.ndarray:
         by_class = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
         np.add.at(by_class, self.network.rank_of_target, self._done)
-        return np.cumsum(by_class, axis=0)[self.levels]
+        return by_class[:-1]
 
     @property
     def visits(self) -> np.ndarray:
@@ -87,6 +93,17 @@ class WindowSearch(JointSearch):
         counts = np.concatenate([windows.counts() - before, np.zeros((1, 2), dtype=np.int64)])
         return counts[np.where(network.rank_of_target < network.n_classes, network.slot, -1)]
 
+    def _use(self, chosen: np.ndarray) -> None:
+        """Replace the plan."""
+        network, self.chosen = self.network, chosen
+        used = np.bincount(chosen, minlength=len(network.target))
+        self._load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
+        self._links.room[:] = self.limits - network.sums(chosen)
+        self._used[:] = -1
+        mine = chosen[self._place_of[chosen] >= 0]
+        self._used[self._place_of[mine]] = mine
+        self._done = self._counts_of_targets()
+
     def begin(self) -> None:
         """Improve the first plan, and compute the bounds."""
         self.bounds_complete, self.bounds = (self._without_limits(*values) for values in (WHOLE, VISIT))
@@ -98,8 +115,13 @@ class WindowSearch(JointSearch):
         self._record()
 
     def iterate(self, _executor: object) -> None:
-        """Run one iteration, which considers each target that is not complete several times."""
+        """Run one iteration, which considers each target that is not complete several times.
+
+        In small surveys, integer programs of all sequences then find the best plan.
+        """
         self._improve(PASSES)
+        if self.iteration == 0:
+            self._solve_all()
         self.iteration += 1
         self._record()
 
@@ -133,6 +155,54 @@ class WindowSearch(JointSearch):
             state = self.chosen, self._load, self._used, self._done
             work = self._cost, self._found, self._work, self._picked
             kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
+
+    def _solve_all(self) -> None:
+        """Find the best plan and the bounds by integer programs of all sequences, unless there are too many."""
+        network, n_classes = self.network, self.network.n_classes
+        is_best = (self.counts == np.column_stack([self.bounds_complete, self.bounds])).all()
+        if is_best or len(network.target) > MOST_OF_ALL or self._needs_other_visits():
+            return
+        sequences = all_sequences(self._dates, MOST_OF_ALL)
+        if sequences is None or self.out_of_time():
+            return
+        patches = Patches(network, np.zeros(len(network.start) - 1, dtype=np.int64))
+        load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
+        limits, deadline = np.append(network.most, self.limits), now() + min(self._limit - self.seconds, 1e9)
+        rows, problem = patches.within(0, self.chosen, load, limits, np.zeros(len(network.target)), deadline, 0.5)
+        rank, per = network.rank_of_target[sequences.target], (sequences.whole, sequences.visits)
+        program = SequenceProgram(problem, self._place_of[rows], sequences)
+        has_all = network.usable.all() and not network.free.any()
+        for k, j in reversed([*product(range(len(self.levels)), range(2))]):
+            bounds, is_first = (self.bounds_complete, self.bounds)[j], (k, j) == (0, 0)
+            if is_first or (has_all and self.counts[k, j] < bounds[k]):
+                bound = np.floor(program.maximize(per[j] * (rank <= self.levels[k])))
+                bounds[k] = min(bounds[k], bound) if has_all else bounds[k]
+        for level, value in product(range(n_classes), per):
+            if (level, value is per[0]) != (0, True):  # the last program found the largest number of the first goal
+                program.maximize(value * (rank == level))
+            if program.chosen is None:
+                return
+            program.keep(value * (rank == level))
+        before, after = self.chosen, self.chosen.copy()
+        after[patches.members[0]] = rows[program.chosen]
+        number = self._by_class.ravel().tolist()
+        self._use(after)
+        if self._by_class.ravel().tolist() < number or (self._links.room < -TOLERANCE).any():
+            self._use(before)
+
+    def _needs_other_visits(self) -> bool:
+        """Return whether visits that complete no epoch, which are not in the program, can meet a requirement.
+
+        Targets that also have another role can meet requirements in this role, without a visit.
+        """
+        network, n = self.network, len(self.request.builder.left)
+        for row in range(len(network.rule_most)):
+            part = network.rules[[row]]
+            members = part.indices[part.data < 0]
+            slot, is_science = network.slot[network.target[members]], network.rank[members] < network.n_classes
+            if not np.isin(slot[is_science], slot[~is_science] - n).all():
+                return True
+        return False
 
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of complete cadences and of visits of a level."""

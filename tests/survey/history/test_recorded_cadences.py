@@ -132,4 +132,4 @@ def check_optimum(survey, instrument, tiling, catalog, before, later):
     for goal in weights.reshape(2 * len(weights), -1):
         best.append(round(goal @ program.maximize(goal)))
         program.add(np.flatnonzero(goal), np.inf, best[-1], goal[goal > 0])
-    assert found.ravel().tolist() <= best
+    assert found.ravel().tolist() == best
