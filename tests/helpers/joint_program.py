@@ -179,3 +179,20 @@ def program_of(instrument, tiles, catalog, options, needs, counts):
             of_need = has_role(np.append(kind, "")[program.target], need.what) & here
             program.add(np.flatnonzero(of_need), most, min(need.minimum, n))
     return program
+
+
+def with_categories(seed):
+    """Return a survey whose targets have three categories."""
+    instrument, tiles, catalog, options, _ = survey_with(seed, "science")
+    category = np.random.default_rng([seed, 5]).choice(["a", "b", "c"], len(catalog), p=[0.5, 0.3, 0.2])
+    return instrument, tiles, replace(catalog, category=category), options
+
+
+def goals_of(program, needed):
+    """Return the targets that need visits, and add a variable that is 1 if each of them receives these visits."""
+    goals = np.flatnonzero(needed > 0)
+    first = program.extend(len(goals))
+    for t, y in zip(goals, first, strict=True):
+        visits = np.flatnonzero(program.target == t)
+        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(needed[t])])
+    return goals, first

@@ -39,7 +39,8 @@ class FinishedSearch(WindowSearch):
     def __init__(self, network: Network, chosen: np.ndarray, request, directions: np.ndarray):
         self._directions, self.bound_of_smallest = directions, np.inf
         category = request.source.by_slot("category")
-        self.shares = Shares.of(request.joint.share, category, network) if request.joint.share else None
+        is_finished = (request.builder.wanted > 0) & (request.builder.left == 0)
+        self.shares = Shares.of(request.joint.share, category, network, is_finished) if request.joint.share else None
         super().__init__(network, chosen, request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
 
@@ -315,10 +316,10 @@ class _EqualTiles:
             )
             unit = csr_array((shares.size * shares.weight / UNITS)[:, None])
             matrix = vstack([hstack([matrix, csr_array((len(high), 1))]), hstack([count, unit])], format="csr")
-            high = np.append(high, np.zeros(len(shares.size)))
+            high = np.append(high, shares.before)
             goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
         program = matrix, np.full(len(high), -np.inf), high
-        limits = {"gap": 0.0, "presolve": True, "nodes": int(10 * EFFORT / (n + m))}  # these programs are smaller
+        limits = {"gap": 0.0, "presolve": True, "nodes": int(10 * EFFORT / (n + m + 1))}  # these programs are smaller
         _, bound = maximize(program, goal, most, deadline, integral=True, **limits)
         bound = with_errors(bound, n + m)
         return bound if shares is None else (bound + 1.0) / UNITS

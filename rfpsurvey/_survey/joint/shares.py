@@ -23,6 +23,8 @@ def weights_in(text: str) -> dict[str, float]:
     weights = {}
     for word in text.split():
         name, _, value = word.rpartition("=")
+        if name in weights:
+            raise InputError(f"share must have one weight for each category, got several for {name!r}")
         try:
             weights[name] = float(value)
         except ValueError:
@@ -38,34 +40,40 @@ def weights_in(text: str) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """The category of each target of a network, and the number of its targets times its weight."""
+    """The category of each target of a network, and the number of targets and the weight of each category."""
 
     names: tuple[str, ...]
     group: np.ndarray  # of each target; -1 for targets without visits
     size: np.ndarray
     weight: np.ndarray
+    before: np.ndarray  # number of targets that were finished before, which are not in the network
 
     @classmethod
-    def of(cls, text: str, category: np.ndarray | None, network) -> "Shares":
-        """Return the shares of a network; ``category`` is the category of each target in the order of slots."""
+    def of(cls, text: str, category: np.ndarray | None, network, is_finished: np.ndarray) -> "Shares":
+        """Return the shares of a network.
+
+        ``category`` is the category of each target in the order of slots, and ``is_finished`` whether all its visits
+        were made before.
+        """
         weights = weights_in(text)
         if category is None:
             raise InputError("share requires a catalog with categories, got a catalog without the column category")
         counted = (network.rank_of_target < network.n_classes) & (network.visits > 0) & (network.slot >= 0)
-        names, group = np.unique(category[network.slot[counted]], return_inverse=True)
+        names, group = np.unique(np.append(category[network.slot[counted]], category[is_finished]), return_inverse=True)
+        group, n = group.reshape(-1), int(counted.sum())
         if unknown := sorted({*weights} - {*names.tolist()}):
             raise InputError(
                 f"share must name categories of targets in the fields ({listed(names.tolist(), 8)}), got "
                 f"{listed(unknown)}"
             )
         of_target = np.full(len(network.slot), -1)
-        of_target[counted] = group.reshape(-1)
-        size = np.bincount(of_target[counted], minlength=len(names))
-        return cls(tuple(names.tolist()), of_target, size, np.array([weights.get(name, 1.0) for name in names]))
+        of_target[counted] = group[:n]
+        size, before = (np.bincount(some, minlength=len(names)) for some in (group, group[n:]))
+        return cls(tuple(names.tolist()), of_target, size, np.array([weights.get(name, 1.0) for name in names]), before)
 
     def count(self, done: np.ndarray) -> np.ndarray:
         """Return the number of finished targets of each category."""
-        return np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
+        return self.before + np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
 
     def fractions(self, number: np.ndarray) -> np.ndarray:
         """Return the finished fraction of each category divided by its weight."""
