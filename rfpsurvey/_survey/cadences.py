@@ -16,7 +16,7 @@ from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import as_table
 from rfpsurvey._survey.tiling.tiling import Tiling
-from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short, warn
 
 NIGHT = 0.5
 """Largest time between the exposures of an epoch in days."""
@@ -283,6 +283,22 @@ class Windows:
         """Release the targets whose windows have closed at the time of the last tile."""
         if len(self._days):
             self.state(np.arange(len(self._row)), int(np.argmax(self._days)))
+
+
+def warn_of_cadences(cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray) -> None:
+    """Warn of cadences whose first epoch no tiles can complete; ``row`` is the row of the cadence of each target."""
+    hopeless = []
+    for k in np.unique(row[row >= 0]).tolist():
+        epochs = cadences.epochs[k]
+        if epochs.shape[1]:
+            n, times = int(epochs[2, 0]), np.sort(days[brightness <= epochs[3, 0]])
+            hopeless += [] if (times[n - 1 :] - times[: max(len(times) - n + 1, 0)] <= NIGHT).any() else [k]
+    if hopeless:
+        n, names = int(np.isin(row, hopeless).sum()), listed([cadences.names[k] for k in hopeless], 8)
+        warn(
+            f"{number_of(n, 'target')} will not be observed, because no night has as many tiles, with an allowed sky "
+            f"brightness, as the first epoch of the cadence has exposures: {names}"
+        )
 
 
 def days_of(tiling: Tiling) -> np.ndarray:

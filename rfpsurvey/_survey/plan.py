@@ -22,7 +22,7 @@ from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import is_table
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._sky.time import choose_epoch
-from rfpsurvey._survey.cadences import Cadences
+from rfpsurvey._survey.cadences import Cadences, warn_of_cadences
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
@@ -253,6 +253,8 @@ def prepare_request(
     others |= {"epoch": None, "reference": used} if epoch is None else {"epoch": str(epoch), "reference": None}
     others |= {"visits": visits, "passes": passes, "state": state, "given": given if state is None else state.first}
     request = make_request(source, tiling, instrument, options, **others)
+    if cadences is not None and state is None:
+        warn_of_cadences(cadences[0], np.where(visits > 0, cadences[1], -1), request.days, request.brightness)
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
     warn_of_lacks(request.options, request.source.by_slot)

@@ -5,13 +5,15 @@ from dataclasses import replace
 from itertools import combinations
 
 import astropy.units as u
+import living
 import numpy as np
 from astropy.coordinates import SkyCoord
-from astropy.table import QTable
+from astropy.table import QTable, Table
 from joint_program import SCALE, JointProgram
-from naive_cadences import NAMES, Naive
+from naive_cadences import NAMES, TABLE, Naive
 
 import rfpsurvey as rs
+from rfpsurvey.survey import Cadences
 from scenes import random_plane
 
 CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
@@ -118,3 +120,30 @@ def check_windows(survey, tiling, catalog):
                 continue
             assert targets[row].allows(days[tile], brightness[tile])[0]
             targets[row].observe(days[tile])
+
+
+def scene(seed, n=80, n_tiles=40):
+    """Return targets with cadences, and tiles in random order; nights have up to three tiles."""
+    rng = np.random.default_rng(seed)
+    sky = rs.synthetic_catalog("uniform", living.CENTER, 0.2 * u.deg, n_targets=n, rng=seed)
+    extra = QTable({"cadence": rng.choice([*NAMES, ""], n), "kind_of": rng.integers(0, 9, n)})
+    catalog = rs.Catalog(sky.coord, id=1000 + np.arange(n), priority=rng.integers(1, 3, n), extra=extra)
+    night = np.sort(rng.integers(0, n_tiles, n_tiles))
+    table = QTable({"tile": np.arange(n_tiles), "mjd": 60000 + night + rng.permutation(n_tiles) / 100})
+    offset = [living.CENTER.spherical_offsets_by(*(rng.uniform(-0.02, 0.02, 2) * u.deg)) for _ in range(n_tiles)]
+    table["ra"], table["dec"] = [[getattr(one, name).deg for one in offset] * u.deg for name in ("ra", "dec")]
+    table["skybrightness"] = rng.choice([0.2, 1.0], n_tiles)
+    return catalog, rs.Tiling.from_table(table[rng.permutation(n_tiles)])
+
+
+def plan(catalog, tiling, model=None, visits=TABLE, **options):
+    """Plan a survey with cadences, or with numbers of visits, with the allocator ``nearest``."""
+    visits, options = Cadences(visits) if isinstance(visits, Table) else visits, {"allocator": "nearest", **options}
+    return rs.plan_survey(catalog, model or living.instrument(), tiling, visits=visits, **options)
+
+
+def with_columns(tiling, **columns):
+    table = tiling.table.copy()
+    for name, value in columns.items():
+        table[name] = value
+    return rs.Tiling(table)

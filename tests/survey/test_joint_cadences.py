@@ -17,7 +17,7 @@ from rfpsurvey.survey import Cadences
 
 CHUNK, NEEDS = 10, [rs.Requirement.parse(text) for text in ("standard=2", "sky=1-2")]
 KINDS = ["science", "science+standard", "science+sky", "standard", "sky"]
-pytestmark = pytest.mark.filterwarnings("ignore:no target was observed")
+pytestmark = pytest.mark.filterwarnings("ignore:no target was observed", "ignore:.*will not be observed")
 
 
 def program_of(instrument, tiling, catalog, first):
