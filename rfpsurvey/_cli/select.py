@@ -21,6 +21,7 @@ from rfpsurvey._survey.key_objects import Given
 from rfpsurvey._survey.key_types import Part, build
 from rfpsurvey._survey.plan_file import SurveyKeys, allocator_of, read_tiles, state_in, targets_of, tiles_of
 from rfpsurvey._survey.selection.probabilities import selection_facts
+from rfpsurvey._survey.selection.select import check_without_cadences
 from rfpsurvey.errors import number_of
 
 
@@ -106,6 +107,7 @@ def select(keys: SelectKeys, given: Given) -> None:
     _app.check_outputs(keys.output, paths, (".fits",))
     tiling = read_tiles(keys.tiles, tell=_print.print_text)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
+    check_without_cadences(survey)
     targets = targets_of(keys, model, tell=_print.print_text)
     if survey is not None:
         visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}

@@ -39,6 +39,10 @@ class Dates(NamedTuple):
     day: np.ndarray
     brightness: np.ndarray
     night: float  # largest time between the exposures of an epoch
+    skipped: np.ndarray  # number of epochs of each target that were completed before
+    made: np.ndarray  # number of exposures of each target in the epoch that was begun before
+    begun: np.ndarray  # time of the first of these exposures; NaN for none
+    previous: np.ndarray  # time of the last completed epoch; NaN for none
 
 
 class Work(NamedTuple):
@@ -72,6 +76,12 @@ def cheapest_between(p, i, k, number, limit, cost, dates, taken):
 
 
 @kernel
+def is_within(since, low, high):
+    """Return whether a time since the previous epoch is within its limits; NaN if there is no previous epoch."""
+    return not (since < low or (high >= 0 and since > high))
+
+
+@kernel
 def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     """Find the sequence of target t with the largest value, and return the value, visits, and whether it is complete.
 
@@ -79,8 +89,9 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     places, which is infinite for places that cannot be used. ``picked`` marks the places of the target in use.
     """
     p, m = dates.p_indptr[t], dates.p_indptr[t + 1] - dates.p_indptr[t]
-    first = dates.e_indptr[dates.cadence[t]]
+    first = dates.e_indptr[dates.cadence[t]] + dates.skipped[t]
     n_epochs = dates.e_indptr[dates.cadence[t] + 1] - first
+    begun, night = dates.begun[t], dates.night
     # dynamic program: ``value[e, i, k]`` is the largest value of sequences whose epoch e has the first place i and the
     # last place k, and ``back`` contains these places of the preceding epoch
     value, back, taken = work
@@ -91,31 +102,38 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
         for i in range(m):
             for k in range(i, m):
                 value[e, i, k] = -np.inf
-            day = dates.day[dates.p_tile[p + i]]
+            day = start = dates.day[dates.p_tile[p + i]]
+            needed = n
+            if e == 0 and day - begun <= night:  # this place continues the epoch that was begun before
+                start, needed = begun, n - dates.made[t]
+            elif e == 0 and not is_within(day - dates.previous[t], low, high):
+                continue
             if cost[p + i] == np.inf or dates.brightness[dates.p_tile[p + i]] > limit:
                 continue
             before, where = 0.0, -1
             if e > 0:
                 before = -np.inf
                 for a in range(i):
-                    since = day - dates.day[dates.p_tile[p + a]]
-                    if since < low or (high >= 0 and since > high):
+                    day_before = dates.day[dates.p_tile[p + a]]
+                    if e == 1 and day_before - begun <= night:
+                        day_before = begun
+                    if not is_within(day - day_before, low, high):
                         continue
                     for b in range(a, i):
-                        if dates.day[dates.p_tile[p + b]] - dates.day[dates.p_tile[p + a]] > dates.night:
+                        if dates.day[dates.p_tile[p + b]] - day_before > night:
                             break
                         if value[e - 1, a, b] > before:
                             before, where = value[e - 1, a, b], a * m + b
             if before == -np.inf:
                 continue
             for k in range(i, m):
-                if dates.day[dates.p_tile[p + k]] - day > dates.night or (n == 1 and k > i):
+                if dates.day[dates.p_tile[p + k]] - start > night or (needed == 1 and k > i):
                     break
-                if (n > 1 and k == i) or cost[p + k] == np.inf or dates.brightness[dates.p_tile[p + k]] > limit:
+                if (needed > 1 and k == i) or cost[p + k] == np.inf or dates.brightness[dates.p_tile[p + k]] > limit:
                     continue
                 visits_cost = cost[p + i] + (cost[p + k] if k > i else 0.0)
-                if n > 2:
-                    visits_cost += cheapest_between(p, i, k, n - 2, limit, cost, dates, taken)
+                if needed > 2:
+                    visits_cost += cheapest_between(p, i, k, needed - 2, limit, cost, dates, taken)
                 total = before + gain - visits_cost
                 value[e, i, k], back[e, i, k] = total, where
                 is_possible |= total > -np.inf
@@ -128,6 +146,8 @@ def best_sequence(t, cost, per_visit, per_whole, dates, work, picked):
     while at_e >= 0:
         n = dates.n[first + at_e]
         visits += n
+        if at_e == 0 and dates.day[dates.p_tile[p + at_i]] - begun <= night:
+            n -= dates.made[t]
         picked[at_i] = picked[at_k] = True
         if n > 2:
             cheapest_between(p, at_i, at_k, n - 2, dates.limit[first + at_e], cost, dates, taken)

@@ -74,7 +74,9 @@ class Bookkeeping:
         builder, n_passes, self._number, self.windows = request.builder, len(request.passes), request.number, None
         if request.cadences is not None:
             cadences, row = request.cadences
-            self.windows = Windows(cadences, request.source.to_slots(row), request.days, request.brightness)
+            self.windows = Windows(cadences, request.source.to_slots(row), request.times, request.brightness)
+            if request.state is not None:
+                self.windows.begin_as(request.state.windows, request.source.to_slots)
         self._builder, self.wanted, self.left = builder, builder.wanted, builder.left.copy()
         self.spends = np.broadcast_to(np.True_, len(self.left)) if builder.spends is None else builder.spends
         self.n_observed = np.zeros(len(self._number), dtype=np.int64)
@@ -115,6 +117,16 @@ class Bookkeeping:
         columns = targets.columns._replace(subpriority=-order.astype(float))
         return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
 
+    def allows(self, slot: np.ndarray, tile: int) -> np.ndarray:
+        """Return whether a visit of each target on a tile counts: visits remain, and its window is open."""
+        return (self.left[slot] > 0) & (True if self.windows is None else self.windows.state(slot, tile)[0])
+
+    def spend(self, slot: np.ndarray, tile: int) -> np.ndarray:
+        """Reduce the remaining visits of targets that a tile observes; return the target of each visit that counts."""
+        slot = slot if self.windows is None else self.windows.enter(slot, tile)
+        np.subtract.at(self.left, slot, 1)
+        return slot
+
     def enter(self, tile: int, job: Job, done: Done) -> None:
         """Record the visits of the tile in row ``tile``."""
         field, number, is_target = job.field, self._number[tile], done.target >= 0
@@ -128,13 +140,8 @@ class Bookkeeping:
             # without remaining visits, these targets are only standards or sky positions
             science = has_role(field.targets.columns.kind, "science")
             slot = slot[np.isin(slot, field.slot[science])]
-        if self.windows is None:
-            self.left[slot] -= 1
-            complete = slot[self.left[slot] == 0]
-        else:
-            slot = self.windows.enter(slot, tile)
-            np.subtract.at(self.left, slot, 1)
-            complete = np.unique(slot[self.left[slot] == 0])
+        slot = self.spend(slot, tile)
+        complete = np.unique(slot[self.left[slot] == 0])
         last = number
         if self._last is not None:
             self._last[slot] = np.maximum(self._last[slot], number)

@@ -2,6 +2,7 @@
 
 import hashlib
 import os
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,7 +16,7 @@ from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import as_table
 from rfpsurvey._survey.tiling.tiling import Tiling
-from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short
+from rfpsurvey.errors import InputError, check_keywords, listed, number_of, short, warn
 
 NIGHT = 0.5
 """Largest time between the exposures of an epoch in days."""
@@ -169,7 +170,12 @@ class Cadences:
                 f"the catalog must have the column {self.column!r} with the cadence of each target, got the further "
                 f"columns {listed(extra)} (further columns are read by keep= or --set catalog.keep=NAME)"
             )
-        text = np.char.strip(np.asarray(extra[self.column]).astype(str))
+        row = self._rows_of(extra[self.column])
+        return row if catalog.kind is None else np.where(has_role(catalog.kind, "science"), row, -1)
+
+    def _rows_of(self, names: np.ndarray) -> np.ndarray:
+        """Return the row of each of the named cadences; -1 for empty names."""
+        text = np.char.strip(np.asarray(names).astype(str))
         names, place = np.unique(text, return_inverse=True)
         row_of = {name: k for k, name in enumerate(self.names)} | {"": -1}
         if unknown := [name for name in names.tolist() if name not in row_of]:
@@ -178,18 +184,19 @@ class Cadences:
         for name, n in zip(names.tolist(), self._totals[rows].tolist(), strict=True):
             if n > MOST_VISITS:
                 raise InputError(f"a cadence of targets must have at most {MOST_VISITS} exposures, got {n} in {name!r}")
-        row_of_target = rows[place.reshape(-1)]
-        return row_of_target if catalog.kind is None else np.where(has_role(catalog.kind, "science"), row_of_target, -1)
+        return rows[place.reshape(-1)]
 
-    def visits(self, catalog: Catalog) -> np.ndarray:
+    def visits(self, catalog: Catalog, required: np.ndarray | None = None) -> np.ndarray:
         """Return the number of visits of each target: the exposures of all epochs of its cadence.
 
-        Targets whose number of visits in the catalog is 0 have no visits.
+        Targets whose number of visits in the catalog is 0 have no visits, unless they are required.
 
         Parameters
         ----------
         catalog : Catalog
             The targets.
+        required : ndarray of bool, shape (n_targets,), optional
+            Whether each target is required.
 
         Returns
         -------
@@ -197,7 +204,8 @@ class Cadences:
             The numbers; 1 for targets without a cadence.
         """
         totals = self._totals[self.of(catalog)].astype(np.uint8)
-        return totals if catalog.visits is None else np.where(catalog.visits == 0, np.uint8(0), totals)
+        has_none = False if catalog.visits is None else catalog.visits == 0
+        return np.where(has_none if required is None else has_none & ~required, np.uint8(0), totals)
 
 
 class Windows:
@@ -222,6 +230,13 @@ class Windows:
     def n_epochs(self) -> np.ndarray:
         """Number of completed epochs of each target, in the order of slots."""
         return self._epoch
+
+    def past(self) -> tuple[np.ndarray, ...]:
+        """Return, for each target, the completed epochs, the exposures of the present epoch, and two times (MJD).
+
+        They are the time of the first of these exposures, and that of the last completed epoch; NaN for none.
+        """
+        return self._epoch, self._made, np.where(self._made > 0, self._begin, np.nan), self._previous
 
     def counts(self) -> np.ndarray:
         """Return whether each target has completed all epochs, and the visits of its epochs, shape (n_targets, 2)."""
@@ -259,10 +274,31 @@ class Windows:
         self._epoch[slot] += 1
         return np.repeat(slot, needed)
 
+    def begin_as(self, other: "Windows", to_slots: Callable) -> None:
+        """Begin with the epochs of all targets of another state; ``to_slots`` brings them into the order of slots."""
+        for name in ("_epoch", "_made", "_begin", "_previous", "released"):
+            setattr(self, name, to_slots(getattr(other, name)))
+
     def close(self) -> None:
         """Release the targets whose windows have closed at the time of the last tile."""
         if len(self._days):
             self.state(np.arange(len(self._row)), int(np.argmax(self._days)))
+
+
+def warn_of_cadences(cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray) -> None:
+    """Warn of cadences whose first epoch no tiles can complete; ``row`` is the row of the cadence of each target."""
+    hopeless = []
+    for k in np.unique(row[row >= 0]).tolist():
+        epochs = cadences.epochs[k]
+        if epochs.shape[1]:
+            n, times = int(epochs[2, 0]), np.sort(days[brightness <= epochs[3, 0]])
+            hopeless += [] if (times[n - 1 :] - times[: max(len(times) - n + 1, 0)] <= NIGHT).any() else [k]
+    if hopeless:
+        n, names = int(np.isin(row, hopeless).sum()), listed([cadences.names[k] for k in hopeless], 8)
+        warn(
+            f"{number_of(n, 'target')} will not be observed, because no night has as many tiles, with an allowed sky "
+            f"brightness, as the first epoch of the cadence has exposures: {names}"
+        )
 
 
 def days_of(tiling: Tiling) -> np.ndarray:

@@ -64,6 +64,10 @@ Tiles of joint plans, and of earlier versions, do not have this count.
 ALSO_SCIENCE = Count("n_also_science", ALSO, card="NALSOSCI", comment="science targets that also meet requirements")
 """Count of a tile if it is not 0; files of tiles of earlier versions do not have this count."""
 CARDS = {count.card for count in (*COUNTS, *MOTION, LOST_TO_RULES, ALSO_SCIENCE)}
+PAST = "past"
+"""State of a tile of a survey with cadences whose time passed without an observation."""
+NOT_PLANNED = "dropped", PAST
+"""States of tiles that are never observed."""
 TILES = table_of(
     Column("tile", "identifier of the tile"),
     Column("ra", "right ascension of the field center (ICRS)", "deg"),
@@ -72,7 +76,7 @@ TILES = table_of(
     Column("hour_angle", "hour angle of the field center at the midpoint of the exposure", "deg"),
     Column("time", "midpoint of the exposure (UTC)"),
     Column("round", "round in which the tile is planned; tiles of one round do not share targets"),
-    Column("state", "planned, done (observed), partly (partly observed) or dropped"),
+    Column("state", "planned, done (observed), partly (partly observed), dropped or past (not observed in time)"),
     Column("date", "date of the last observation"),
     Column("n_failed", "number of failed visits to science targets of an observed tile"),
     *COUNTS,

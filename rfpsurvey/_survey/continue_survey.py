@@ -8,6 +8,7 @@ from pathlib import Path
 
 from rfpsurvey._common.files import to_path
 from rfpsurvey._survey import key_objects
+from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.plan import plan_survey
 from rfpsurvey._survey.plan_file import call_of, keys_in
 from rfpsurvey._survey.survey import Survey
@@ -62,6 +63,11 @@ def continue_survey(
     keys = keys_in(folder, changes)
     call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
     return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
+
+
+def cadences_in(folder: Path) -> Cadences:
+    """Return the cadences of the targets of a survey."""
+    return Cadences(keys_in(folder, {"allocator", "instrument", "tiles", "visits", "rule"}).cadences)
 
 
 def groups_in(folder: Path, column: str) -> dict[str, str]:

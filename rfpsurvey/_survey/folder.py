@@ -158,14 +158,14 @@ class Folder(RequestFolder):
             {k: v for k, v in request.items() if k != "visits"} for request in (before.get("first", {}), now["first"])
         )
         if not first:
-            first = {name: before.get(name) for name in ("passes", "tiles")}
+            first = {name: before.get(name) for name in ("passes", "tiles", "dates") if name in before}
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
         own_first = self._for_tiles_of(first, now_first)
-        now_first |= {name: own_first[name] for name in ("passes", "tiles") if name in own_first}
+        now_first |= {name: own_first[name] for name in ("passes", "tiles", "dates") if name in own_first}
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         if self._is_new_state:
             self._request["generation"] = number + 1
-        changed = ("catalog", "passes", "tiles", "visits", "events", "first")
+        changed = ("catalog", "passes", "tiles", "dates", "visits", "events", "first")
         earlier, same = ({k: v for k, v in request.items() if k not in changed} for request in (before, now))
         for request in (earlier, same):  # the digest changes if positioners break between two nights
             request["instrument"] = str(request.get("instrument")).partition(", digest")[0]

@@ -71,14 +71,14 @@ class Living:
         ------
         InputError
             If a tile, positioner or target is unknown, if the plan with which a tile was observed is not clear, if a
-            value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
+            value is not valid, or if another run uses the folder. Nothing is written then.
         """
-        from rfpsurvey._survey.continue_survey import groups_in
+        from rfpsurvey._survey.continue_survey import cadences_in, groups_in
         from rfpsurvey._survey.history.record import record
 
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
-        groups = partial(groups_in, self.folder)
-        return record(self, table, enough=enough, tile=tile, columns=columns, groups=groups, **options)
+        options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
+        return record(self, table, enough=enough, tile=tile, columns=columns, **options)
 
     def undo(self, number: int, *, note: str = "", dry_run: bool = False) -> dict:
         """Undo a record, as if its table had not been recorded; tiles and targets that it added are dropped.
@@ -145,7 +145,7 @@ class Living:
         rule : VisitRule, optional
             Rule that determines the requested visits and the priorities. If a catalog is given, the default is that
             each target is observed until the requested visits are successful.
-        visits : int or array_like of int, optional
+        visits : int, array_like of int or Cadences, optional
             Requested visits as in the first plan. If a catalog is given, the default is the column ``visits`` of the
             catalog, or 1.
         until : str, optional
@@ -159,8 +159,8 @@ class Living:
         Raises
         ------
         InputError
-            If the catalog is another one, if the survey has cadences, if a file of events is missing or damaged, or if
-            no catalog is given and the folder has no plan file.
+            If the catalog is another one, if a file of events is missing or damaged, or if no catalog is given and the
+            folder has no plan file.
         """
         from rfpsurvey._survey import plan_file as _plan_file
 
@@ -168,6 +168,8 @@ class Living:
         if catalog is None:
             given = {name: value for name, value in given.items() if value is not None}
             return _plan_file.state_in(self.folder, **given)
+        if isinstance(visits, _plan_file.Cadences):
+            return _plan_file.state_in(self.folder, catalog=catalog, **given)
         return _plan_file.SurveyState.read(self.folder, catalog, **given)
 
     def replan(self, *, executor: object = None, progress: object = False, **changes: object) -> object:

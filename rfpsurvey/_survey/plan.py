@@ -3,7 +3,6 @@
 import logging
 from collections.abc import Callable
 from concurrent.futures import Executor, ThreadPoolExecutor
-from dataclasses import replace
 from functools import partial
 from time import perf_counter
 
@@ -23,7 +22,7 @@ from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import is_table
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._sky.time import choose_epoch
-from rfpsurvey._survey.cadences import Cadences
+from rfpsurvey._survey.cadences import Cadences, warn_of_cadences
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
@@ -209,20 +208,20 @@ def prepare_request(
     catalog = given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
     if isinstance(visits, VisitRule):
         catalog, visits = first_visits(catalog, visits)
-    cadences = visits if isinstance(visits, Cadences) else None
-    if cadences is not None:
-        catalog = in_memory(catalog, "cadences")
-        cadences, visits = (cadences, cadences.of(catalog)), cadences.visits(catalog)
-        if catalog.subpriority is not None:
-            warn("the subpriorities of the catalog have no effect on a survey with cadences")
-        if catalog.visits is not None and (catalog.visits > 1).any():
-            warn("the visits of the catalog have no effect on a survey with cadences, except 0")
     if state is not None:
         state.check_catalog(catalog)
         catalog, visits = state.catalog, state.requested
     asked, joint = as_joint(allocator, order)
-    if cadences is not None and (required := mark_required(asked.required_ids, [catalog.id])) is not None:
-        visits = np.where(required, cadences[0].visits(replace(catalog, visits=None)), visits)
+    cadences = visits if isinstance(visits, Cadences) else state and state.cadences
+    if cadences is not None:
+        catalog = in_memory(catalog, "cadences")
+        if state is None:
+            visits = cadences.visits(catalog, mark_required(asked.required_ids, [catalog.id]))
+        cadences = cadences, cadences.of(catalog)
+        if catalog.subpriority is not None:
+            warn("the subpriorities of the catalog have no effect on a survey with cadences")
+        if catalog.visits is not None and (catalog.visits > 1).any():
+            warn("the visits of the catalog have no effect on a survey with cadences, except 0")
     asked.check_for_fields("a survey")
     asked = with_recorded_moves(asked, folder if state is None else state.folder)
     if callable(asked.allocator) and not isinstance(executor, ThreadPoolExecutor | None):
@@ -254,6 +253,8 @@ def prepare_request(
     others |= {"epoch": None, "reference": used} if epoch is None else {"epoch": str(epoch), "reference": None}
     others |= {"visits": visits, "passes": passes, "state": state, "given": given if state is None else state.first}
     request = make_request(source, tiling, instrument, options, **others)
+    if cadences is not None and state is None:
+        warn_of_cadences(cadences[0], np.where(visits > 0, cadences[1], -1), request.days, request.brightness)
     if request.source.has_repeated_ids:
         warn("some targets have the same id as another target")
     warn_of_lacks(request.options, request.source.by_slot)

@@ -38,7 +38,7 @@ from rfpsurvey._survey.source import check_first_catalog
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_tiles, warn_of_targets
 from rfpsurvey._survey.tiling.place import place_tiles
-from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
+from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling, in_passes
 from rfpsurvey.errors import InputError, listed, warn, warn_no_effect
 
 DEFAULT_CENTER = "06h20m00s +23d00m00s"
@@ -125,26 +125,26 @@ def targets_of(keys, model: Instrument, *, tell: Callable[[str], None] = no_outp
 def visits_of(keys, targets, **given: object) -> SurveyState | VisitRule | Cadences | int | np.ndarray | None:
     """Return the parameter ``visits`` of `plan_survey`: the state of a survey, a rule, cadences or numbers.
 
-    ``given`` can contain a ``rule`` and ``visits`` in place of those of the keys.
+    ``given`` contains the planned ``tiles``, and can contain a ``rule`` and ``visits`` in place of those of the keys.
     """
-    if keys.cadences is not None:
-        if keys.rule or keys.catalog.visits is not None or keys.output.replan:
-            raise InputError("cadences must be used without catalog.visits, rule and --replan, got several of them")
-        return Cadences(keys.cadences)
+    if keys.cadences is not None and (keys.rule or keys.catalog.visits is not None):
+        raise InputError("cadences must be used without catalog.visits and rule, got several of them")
     visits = given["visits"] if "visits" in given else _requested(keys)
     rule = given["rule"] if "rule" in given else VisitRule(**keys.rule)
     for name in ("visits", "after_success"):
         if keys.catalog.visits and getattr(rule, name) is not None:
             warn(f"rule.{name} replaces the number of visits of all targets ({visits})")
     if keys.output.replan:
-        return SurveyState.read(keys.output.folder, targets, rule=rule, visits=visits)
+        return SurveyState.read(keys.output.folder, targets, rule=rule, visits=visits, tiles=given["tiles"])
     if not keys.rule:
         return visits
     return rule if visits is None or rule.visits is not None else replace(rule, visits=visits)
 
 
-def _requested(keys) -> int | np.ndarray | None:
-    """Return the requested visits: one number, or the numbers in a table that the plan of a survey wrote."""
+def _requested(keys) -> int | np.ndarray | Cadences | None:
+    """Return the requested visits: cadences, one number, or the numbers in a table that the plan of a survey wrote."""
+    if keys.cadences is not None:
+        return Cadences(keys.cadences)
     path = keys.catalog.visits_table
     return keys.catalog.visits if path is None else np.asarray(read_table(path)["visits"])
 
@@ -213,7 +213,9 @@ def state_in(folder: Path, *, tell: Callable[[str], None] = no_output, **given: 
     if catalog is None:
         catalog = targets_of(keys, _model_in(keys), tell=tell)
     rule = given.pop("rule") if "rule" in given else VisitRule(**keys.rule)
-    return SurveyState.read(folder, catalog, rule=rule, **{"visits": _requested(keys)} | given)
+    visits = given.pop("visits") if "visits" in given else _requested(keys)
+    tiles = in_passes(read_tiles(keys.tiles), keys.tiles.passes) if isinstance(visits, Cadences) else None
+    return SurveyState.read(folder, catalog, rule=rule, visits=visits, tiles=tiles, **given)
 
 
 def _model_in(keys: SurveyKeys) -> Instrument | None:
@@ -236,7 +238,8 @@ def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **give
     call |= {"catalog": catalog, "instrument": model, "passes": given.get("passes", keys.tiles.passes)}
     if "allocator" not in given:
         call["allocator"] = allocator_of(keys.options, keys.joint)
-    call["visits"] = visits_of(keys, catalog, **{name: call.pop(name) for name in ("rule", "visits") if name in given})
+    of_visits = {name: call.pop(name) for name in ("rule", "visits") if name in given}
+    call["visits"] = visits_of(keys, catalog, tiles=in_passes(tiling, call["passes"]), **of_visits)
     call["tiles"] = key_objects.tiles_under(tiles_of(tiling, catalog, model), keys.conditions)
     return call
 
@@ -254,12 +257,10 @@ def check_inputs(folder: Path, request: dict) -> None:
             raise InputError(f"{folder / key_objects.RECORD} must name the instrument of survey.json, got {present}")
     catalog = targets_of(keys, model)
     rule = VisitRule() if "rule" in (keys.python or ()) else VisitRule(**keys.rule)
-    check_first_catalog(request, catalog, _requested(keys), rule)
+    check_first_catalog(request, catalog, None if keys.cadences else _requested(keys), rule)
     if tiling is None:
         return
-    tiling = key_objects.tiles_under(tiling, keys.conditions)
-    if keys.tiles.passes is not None:
-        tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
+    tiling = in_passes(key_objects.tiles_under(tiling, keys.conditions), keys.tiles.passes)
     present, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
     if present != recorded:
         raise InputError(
@@ -362,7 +363,7 @@ def _allocator_values(given: object) -> dict | None:
         again = as_joint(allocator_of(keys.options, keys.joint), "color")
     except InputError:
         return None
-    return values if again == (options, None if joint is None else replace(joint, inform=None)) else None
+    return values if again == (options, joint and replace(joint, inform=None, allocator=options)) else None
 
 
 def _named(settings: Settings) -> list[str]:

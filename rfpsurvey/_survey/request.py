@@ -25,6 +25,7 @@ from rfpsurvey._sky.time import epoch_text
 from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import brightness_of, days_of
 from rfpsurvey._survey.folder import number_in
+from rfpsurvey._survey.history.dated import dates_record, times_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.source import column_digests, digest, digest_of, extra_digest
 from rfpsurvey._survey.tiling.columns import FieldsOfTiles, conditions_of_tiles, times_of_tiles
@@ -108,18 +109,23 @@ class Request(FieldsOfTiles):
         reach = 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9)
         if self.cadences is None:
             return make_rounds(self.tiling.vectors, reach, self.number, self.order)
-        in_time = np.argsort(self.days, kind="stable")
+        in_time = np.argsort(self.times, kind="stable")
         return [in_time[rows] for rows in make_rounds(self.tiling.vectors[in_time], reach, self.number, "given")]
 
     @property
     def dropped(self) -> list[int]:
-        """Rows of the tiles that were dropped, and are never observed."""
+        """Rows of the tiles that are never observed, because they were dropped or lie in the past."""
         return [] if self.state is None else [row for row, event in self.state.closed.items() if event is None]
 
     @cached_property
     def days(self) -> np.ndarray:
-        """Time of each tile (MJD), for cadences."""
+        """Planned time of each tile (MJD), for cadences."""
         return days_of(self.tiling)
+
+    @cached_property
+    def times(self) -> np.ndarray:
+        """Time of each tile (MJD), for cadences; observed tiles have the times of their observations."""
+        return self.days if self.state is None else times_of(self.tiling, self.state.states)[0]
 
     @cached_property
     def brightness(self) -> np.ndarray:
@@ -182,7 +188,7 @@ class Request(FieldsOfTiles):
             "parameters": self.parameters,
             "units": self.source.units,
             "target_columns": self.source.kinds,
-            "rule_columns": [name for rule in rules for name in rule.columns],
+            "rule_columns": [name for rule in rules for name in rule.columns] + self._columns_of_cadences,
             **self._events,
         }
         return json.loads(json.dumps(entries, default=str))  # converts to types that all file formats support
@@ -207,6 +213,9 @@ class Request(FieldsOfTiles):
             tiling, passes = self.first
             tiles = tiles_digest(tiling, conditions_of_tiles(tiling))
             about["first"] = {"passes": passes, "tiles": tiles, "catalog": self.state.digest}
+            if self.cadences is not None:
+                n = len(tiling)
+                about["first"]["dates"] = dates_record(self.days[:n], self.brightness[:n])
         return {**about, **self._events, **self._of_tiles, "software": self.software}
 
     def recorded(self) -> dict:
@@ -225,7 +234,7 @@ class Request(FieldsOfTiles):
         """The entries of `identity` that can depend on the tiles."""
         entries = {"tiles": tiles_digest(self.tiling, self.conditions), **self.parameters}
         if self.cadences is not None:
-            entries["dates"] = f"{number_of(len(self.days), 'tile')}, digest {digest(self.days, self.brightness)}"
+            entries["dates"] = dates_record(self.days, self.brightness)
         return entries
 
     def of_first_tiles(self, tiles: str) -> dict:
@@ -273,6 +282,10 @@ class Request(FieldsOfTiles):
         return first._of_tiles | {"radius_deg": self.parameters["radius_deg"]}
 
     @property
+    def _columns_of_cadences(self) -> list[str]:
+        return [] if self.cadences is None else [self.cadences[0].column]
+
+    @property
     def _events(self) -> dict:
         """The record of the events; an empty dict if there are none."""
         return {} if self.state is None else {"events": self.state.record}
@@ -314,6 +327,8 @@ def make_request(
     first = tiling, passes
     if state is not None:
         tiling = state.tiling(tiling)
+        if state.cadences is not None:  # further tiles can lie in the past
+            state = replace(state, given=(*state.given[:3], tiling))
         passes = [*passes, *sorted({*np.asarray(tiling.table["pass"]).tolist()} - {*passes})]
     place = _number_of(tiling, passes)
     made_for, radius = tiling.summary.get("radius_deg"), instrument.field_radius.to_value(u.deg)

@@ -19,7 +19,9 @@ from rfpsurvey._survey.columns import (
     ALSO_SCIENCE,
     LOST,
     MOTION,
+    NOT_PLANNED,
     OUTCOME,
+    PAST,
     TILES,
     CountOfRule,
     counts_in,
@@ -79,6 +81,7 @@ def _state_columns(request) -> dict[str, np.ndarray]:
         return {}
     names, dates, failed = np.full(n, "planned", dtype="U8"), np.full(n, "", dtype="U10"), np.zeros(n, dtype=np.int64)
     names[request.dropped] = "dropped"
+    names[state.past] = PAST  # of the dropped rows, those that were not dropped
     for row, event in state.kept.items():
         names[row], dates[row] = event.state, event.date
         failed[row] = state.replayed.counts.get(row, {"n_failed": 0})["n_failed"]
@@ -94,7 +97,7 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
-    kept = of_state["state"] != "dropped" if of_state else slice(None)
+    kept = ~np.isin(of_state["state"], NOT_PLANNED) if of_state else slice(None)
     return {
         "n_tiles": len(request.tiling),
         "n_rounds": len(request.rounds),
@@ -255,7 +258,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
                 field = request.builder.in_other_roles(job.field, np.isin(job.field.row, rows_of_others))
                 job = job._replace(field=field)
             slot = np.append(job.field.slot, -1)[done.target]
-            open_ = (slot < 0) | (state.left[slot] > 0)
+            open_ = (slot < 0) | state.allows(slot, tile)
             counts_of_event = done.counts
             state.enter(tile, job, done._replace(observed=done.observed & open_))
         for name, value in counts_of_event.items():

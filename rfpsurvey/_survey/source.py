@@ -17,7 +17,7 @@ from rfpsurvey._sky.arrays import SkyIndex, has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._survey.history.rule import VisitRule
-from rfpsurvey.errors import InputError, listed, number_of
+from rfpsurvey.errors import InputError, listed, number_of, warn
 
 
 class InMemory(CatalogTargets):
@@ -281,6 +281,19 @@ def check_first_catalog(request: dict, catalog: Catalog | PartitionedCatalog, vi
                 f"the catalog must be that of the first plan, got another catalog with other values of {name!r}; to "
                 "add or change targets, record a table of targets"
             )
+
+
+def check_number_of_visits(request: dict, catalog: Catalog | PartitionedCatalog) -> None:
+    """Issue a warning if the first plan requested another number of visits than the catalog."""
+    first = request.get("first", request)
+    targets, said = (str(first.get(name, "")).partition(",")[0] for name in ("catalog", "visits"))
+    now = number_of(int(columns_of(catalog, None)["requested"].sum(dtype=np.int64)), "visit")
+    is_same = targets == number_of(len(catalog), "target")  # another catalog is an error when the survey is planned
+    if is_same and said not in ("", now) and not request.get("required"):
+        warn(
+            f"the first plan requested {said}, but the catalog requests {now}; give the visits= and rule= of the first "
+            "plan, unless they have changed"
+        )
 
 
 def digest_of(catalog: Catalog | PartitionedCatalog) -> str:

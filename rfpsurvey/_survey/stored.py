@@ -17,7 +17,15 @@ from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._survey import folder as _folder
-from rfpsurvey._survey.columns import ALSO_SCIENCE, LOST_TO_RULES, N_LOST, CountOfRule, counts_in, is_unknown
+from rfpsurvey._survey.columns import (
+    ALSO_SCIENCE,
+    LOST_TO_RULES,
+    N_LOST,
+    NOT_PLANNED,
+    CountOfRule,
+    counts_in,
+    is_unknown,
+)
 from rfpsurvey._survey.generations import EVENTS, GENERATIONS, NEXT, PLANS, read_generations, read_plans
 from rfpsurvey._survey.history.event_files import COPY, read_events
 from rfpsurvey._survey.history.events import Events, TileState
@@ -216,7 +224,7 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     is_readable = is_begun and not damaged.keys() & {*_folder.TABLES, _folder.JOINT}
     survey = check(REQUEST, RESTORED, Survey.read, folder) if is_readable else None
     states, planned = {} if survey is None else dict(enumerate(survey._states)), []
-    rows = {_folder.part_name(row): row for row, state in states.items() if state != TileState.DROPPED}
+    rows = {_folder.part_name(row): row for row, state in states.items() if state not in NOT_PLANNED}
     for name in sorted(name for name in {*known, *rows} if name.startswith("tiles/")):
         if (row := rows.get(name)) is None:
             check(name, MADE, check_file, folder, name, known)

@@ -13,7 +13,7 @@ from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import describe, plot, show, to_html, with_unit
 from rfpsurvey._common.folder import read_index
 from rfpsurvey._field.verdicts import OUTCOMES
-from rfpsurvey._survey.columns import OUTCOME, TILES
+from rfpsurvey._survey.columns import NOT_PLANNED, OUTCOME, TILES
 from rfpsurvey._survey.folder import JOINT, TABLES, read_request, read_stored_table, read_visits
 from rfpsurvey._survey.generations import EVENTS
 from rfpsurvey._survey.living import Living
@@ -170,8 +170,8 @@ class Survey(Living):
         return len(self.tiles)
 
     def _visits(self, k: int) -> QTable:
-        if self._states[k] == "dropped":
-            planned_rows = [row for row, state in enumerate(self._states) if state != "dropped"]
+        if self._states[k] in NOT_PLANNED:
+            planned_rows = [row for row, state in enumerate(self._states) if state not in NOT_PLANNED]
             return self._visits(planned_rows[0])[:0] if planned_rows else QTable()
         tile = self.tiles["tile"][k]
         rows = read_visits(self.folder, k, self._known, tile)[0] if self.parts is None else self.parts[k]

@@ -9,6 +9,7 @@ from matplotlib.ticker import MaxNLocator
 
 from rfpsurvey._field.verdicts import OUTCOMES, Outcome
 from rfpsurvey._sky.arrays import JOINED
+from rfpsurvey._survey.columns import NOT_PLANNED
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey.errors import InputTypeError, number_of
@@ -222,7 +223,8 @@ def _draw_progress(ax: Axes, status: QTable) -> None:
     tiles = ax.twinx()
     tiles.step(x, progress["n_tiles"][first:], where="post", color="0.6", zorder=0)
     handles.append(legend_line("tiles (right axis)", color="0.6"))
-    total = sum(n for row in status.meta["tiles"] for state, n in row.items() if state not in ("pass", "dropped"))
+    others = "pass", *NOT_PLANNED
+    total = sum(n for row in status.meta["tiles"] for state, n in row.items() if state not in others)
     tiles.set(ylim=(0, 1.03 * max(total, 1)), ylabel="tiles")
     tiles.yaxis.set_major_locator(MaxNLocator(integer=True))
     ax.set(ylim=(0, 1.03 * max(int(status["n_requested"][0]), 1)), ylabel="visits", xlabel="date")

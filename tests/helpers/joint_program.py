@@ -194,14 +194,26 @@ def finished_by_class(survey, catalog, classes):
 
 def with_finished(program, catalog):
     """Return, for each class, weights of the variables of a program that are 1 for finished targets of this class."""
-    n = len(catalog)
-    science = np.ones(n, bool) if catalog.kind is None else has_role(catalog.kind, "science")
-    goals = np.flatnonzero(science & (catalog.visits > 0))
-    first = program.extend(len(goals))
-    for t, y in zip(goals, first, strict=True):
-        visits = np.flatnonzero(program.target == t)
-        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(catalog.visits[t])])
+    science = np.ones(len(catalog), bool) if catalog.kind is None else has_role(catalog.kind, "science")
+    goals, first = goals_of(program, np.where(science, catalog.visits, 0))
     weights = np.zeros((len(program.classes), len(program.target)))
     for k, one in enumerate(program.classes):
         weights[k, first[catalog.priority[goals] == one]] = 1.0
     return weights
+
+
+def with_categories(seed):
+    """Return a survey whose targets have three categories."""
+    instrument, tiles, catalog, options, _ = survey_with(seed, "science")
+    category = np.random.default_rng([seed, 5]).choice(["a", "b", "c"], len(catalog), p=[0.5, 0.3, 0.2])
+    return instrument, tiles, replace(catalog, category=category), options
+
+
+def goals_of(program, needed):
+    """Return the targets that need visits, and add a variable that is 1 if each of them receives these visits."""
+    goals = np.flatnonzero(needed > 0)
+    first = program.extend(len(goals))
+    for t, y in zip(goals, first, strict=True):
+        visits = np.flatnonzero(program.target == t)
+        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(needed[t])])
+    return goals, first

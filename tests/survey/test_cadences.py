@@ -1,5 +1,6 @@
 """Surveys with cadences: visits in windows of time, compared with a second implementation."""
 
+import warnings
 from concurrent.futures import ThreadPoolExecutor
 
 import astropy.units as u
@@ -8,40 +9,12 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
-from living import content, instrument
-from naive_cadences import NAMES, TABLE, Naive
+from cadence_program import plan, scene, with_columns
+from living import CENTER, content, instrument
+from naive_cadences import TABLE, Naive
 
 import rfpsurvey as rs
 from rfpsurvey.survey import Cadences
-
-CENTER = SkyCoord(120 * u.deg, 30 * u.deg)
-
-
-def scene(seed, n=80, n_tiles=40):
-    """Return targets with cadences, and tiles in random order; nights have up to three tiles."""
-    rng = np.random.default_rng(seed)
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=n, rng=seed)
-    extra = QTable({"cadence": rng.choice([*NAMES, ""], n), "kind_of": rng.integers(0, 9, n)})
-    catalog = rs.Catalog(sky.coord, id=1000 + np.arange(n), priority=rng.integers(1, 3, n), extra=extra)
-    night = np.sort(rng.integers(0, n_tiles, n_tiles))
-    table = QTable({"tile": np.arange(n_tiles), "mjd": 60000 + night + rng.permutation(n_tiles) / 100})
-    offset = [CENTER.spherical_offsets_by(*(rng.uniform(-0.02, 0.02, 2) * u.deg)) for _ in range(n_tiles)]
-    table["ra"], table["dec"] = [[getattr(one, name).deg for one in offset] * u.deg for name in ("ra", "dec")]
-    table["skybrightness"] = rng.choice([0.2, 1.0], n_tiles)
-    return catalog, rs.Tiling.from_table(table[rng.permutation(n_tiles)])
-
-
-def plan(catalog, tiling, model=None, visits=TABLE, **options):
-    """Plan a survey with cadences, or with numbers of visits, with the allocator ``nearest``."""
-    visits, options = Cadences(visits) if isinstance(visits, Table) else visits, {"allocator": "nearest", **options}
-    return rs.plan_survey(catalog, model or instrument(), tiling, visits=visits, **options)
-
-
-def with_columns(tiling, **columns):
-    table = tiling.table.copy()
-    for name, value in columns.items():
-        table[name] = value
-    return rs.Tiling(table)
 
 
 @pytest.mark.parametrize("allocator", ["nearest", "repair", "optimal", "joint"])
@@ -114,7 +87,7 @@ def test_other_orders_workers_and_interruptions(tmp_path):
     assert (again.outcomes["observed"] == first.outcomes["observed"]).all()
     with pytest.raises(rs.InputError, match="cadences"):
         plan(catalog, tiling, folder=tmp_path / "b", resume=True, visits=TABLE[::-1])
-    with pytest.raises(rs.InputError, match="holds a survey with cadences, which cannot be continued"):
+    with pytest.raises(rs.InputError, match="visits must be the Cadences of the survey in .*, got None"):
         first.state(catalog)
 
 
@@ -272,7 +245,10 @@ def test_targets_whose_window_was_never_open_have_an_outcome():
     catalog, tiling = scene(1)
     catalog = rs.Catalog(catalog.coord, extra=QTable({"cadence": np.full(len(catalog), "dark")}))
     tiling = with_columns(tiling, skybrightness=1.0)
-    with pytest.warns(rs.RfpsurveyWarning, match="no target was observed"):
+    with (
+        pytest.warns(rs.RfpsurveyWarning, match="no target was observed"),
+        pytest.warns(rs.RfpsurveyWarning, match=r"80 targets will not be observed, .* has exposures: dark$"),
+    ):
         survey = plan(catalog, tiling)
     usual = plan(catalog, tiling, visits=1)
     assert survey.summary["n_visits_observed"] == 0
@@ -308,13 +284,15 @@ def test_closing_windows_have_precedence_with_every_allocator(allocator):
 
 
 def test_surveys_with_cadences_refuse_what_does_not_support_them(tmp_path):
-    """Regression: selection probabilities ignored cadences, and events could be recorded that could not be used."""
+    """Regression: selection probabilities ignored cadences."""
     catalog, tiling = scene(1)
     survey = plan(catalog, tiling, folder=tmp_path / "survey")
     with pytest.raises(rs.InputError, match="must be computed for a survey without cadences"):
         rs.selection_probabilities(catalog, instrument(), survey, 2, allocator="nearest")
-    with pytest.raises(rs.InputError, match="must be recorded in a survey without cadences"):
-        survey.record([{"tile": 0, "date": "2026-01-03"}])
+    with pytest.raises(rs.InputError, match="must be computed for a survey without cadences"):
+        survey.select(2, allocator="nearest")
+    with pytest.raises(rs.InputError, match="added tiles of a survey with cadences must have times, .*, got 99"):
+        survey.record([{"tile": 99, "state": "added", "ra": 120.1, "dec": 30.0}])
     assert not (tmp_path / "survey/events").exists()
     few = rs.Catalog(catalog.coord, visits=np.where(np.arange(len(catalog)) % 2, 0, 3), extra=catalog.extra)
     with pytest.warns(rs.RfpsurveyWarning, match="the visits of the catalog have no effect"):
@@ -348,3 +326,28 @@ def test_units_of_times_in_cadences():
     times["delta_min"] = np.array([[0.0, 24.0]]) * u.mm
     with pytest.raises(rs.InputError, match="delta_min of cadences must have the unit d, got mm"):
         Cadences(QTable({**columns, **times}))
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_cadences_that_no_tile_can_begin_are_named(seed):
+    """The warning names the cadences of which a target that all tiles reach would complete no epoch."""
+    rng, table = np.random.default_rng(seed), Table(TABLE, copy=True)
+    table["n_exp"] = [" ".join(map(str, rng.integers(1, 4, len(text.split())))) for text in TABLE["n_exp"]]
+    table["skybrightness"] = [" ".join(map(str, rng.uniform(0, 1, len(text.split())))) for text in TABLE["n_exp"]]
+    catalog, tiling = scene(seed, n=30, n_tiles=8)
+    days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
+    names = set()
+    for row, name in zip(table, table["cadence"], strict=True):
+        n, limit = (float(row[column].split()[0]) for column in ("n_exp", "skybrightness"))
+        nights = [[b for d, b in zip(days, brightness, strict=True) if 0 <= d - day <= 0.5] for day in days]
+        if name in catalog.extra["cadence"] and not any(sum(b <= limit for b in night) >= n for night in nights):
+            names.add(name)
+    with warnings.catch_warnings(record=True) as issued:
+        warnings.simplefilter("always")
+        survey = plan(catalog, tiling, visits=table)
+    texts = [str(w.message) for w in issued if "will not be observed" in str(w.message)]
+    assert [{*text.split(": ")[-1].split(", ")} for text in texts] == [names] * bool(names)
+    has_epochs = {*np.asarray(catalog.extra["cadence"])[np.asarray(survey.outcomes["n_epochs"]) > 0].tolist()}
+    assert not has_epochs & names
+    n = np.isin(catalog.extra["cadence"], [*names]).sum()
+    assert not names or texts[0].startswith(f"{n} target")

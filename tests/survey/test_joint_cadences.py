@@ -2,102 +2,22 @@
 
 import warnings
 from dataclasses import replace
-from itertools import combinations
 
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
-from joint_program import SCALE, JointProgram
-from naive_cadences import NAMES, TABLE, Naive
+from cadence_program import CENTER, check_windows, counts_of, random_survey, with_sequences
+from joint_program import SCALE
+from naive_cadences import NAMES, TABLE
 
 import rfpsurvey as rs
 from rfpsurvey.survey import Cadences
-from scenes import random_plane
 
 CHUNK, NEEDS = 10, [rs.Requirement.parse(text) for text in ("standard=2", "sky=1-2")]
 KINDS = ["science", "science+standard", "science+sky", "standard", "sky"]
-CENTER = SkyCoord(10 * u.deg, 40 * u.deg)
-pytestmark = pytest.mark.filterwarnings("ignore:no target was observed")
-
-
-def random_survey(seed, n_tiles=7):
-    """Return an instrument with few positioners, dated tiles in random order, targets with cadences, and options."""
-    rng = np.random.default_rng(seed)
-    plane = random_plane(rng)
-    instrument = rs.Instrument("small", plane, plate_scale=SCALE)
-    m = int(rng.integers(4, 25))
-    sky = CENTER.spherical_offsets_by(*(rng.uniform(-25, 25, (2, m)) * u.mm / SCALE))
-    columns = {"priority": rng.integers(0, 2, m), "extra": QTable({"cadence": rng.choice([*NAMES, ""], m)})}
-    if plane.fiber_types != ("",):
-        columns["fiber_type"] = rng.choice(["", *plane.fiber_types], m)
-    night = np.sort(rng.integers(0, 8, n_tiles))
-    place = CENTER.spherical_offsets_by(*(rng.uniform(-4, 4, (2, n_tiles)) * u.mm / SCALE))
-    table = QTable({"ra": place.ra, "dec": place.dec, "mjd": 60000 + night + np.arange(n_tiles) / 50})
-    table["skybrightness"] = rng.choice([0.2, 1.0], n_tiles)
-    table["pass"] = np.arange(n_tiles)
-    tiling = rs.Tiling.from_table(table[rng.permutation(n_tiles)])
-    return instrument, tiling, rs.Catalog(sky, **columns), rs.AllocationOptions("optimal", parked_obstacles=False)
-
-
-def sequences(name, tiles, days, brightness):
-    """Yield each list of tiles that completes epochs of a cadence only, its number of visits, and whether it is all."""
-    for number in range(1, len(tiles) + 1):
-        for some in combinations(tiles, number):
-            target = Naive(name)
-            for tile in some:
-                if not target.allows(days[tile], brightness[tile])[0]:
-                    break
-                target.observe(days[tile])
-            else:
-                epochs = len(target.starts)
-                visits = int(sum(one[2] for one in target.epochs[:epochs]))
-                if visits == number:
-                    yield some, visits, epochs == len(target.epochs)
-
-
-def with_sequences(instrument, tiling, catalog):
-    """Return the integer program, and the weights of visits and of complete cadences of each class."""
-    plain = replace(catalog, kind=None, extra=None, visits=np.full(len(catalog), len(tiling)))
-    program = JointProgram(instrument, tiling.coord, plain, False)
-    days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
-    n = len(program.target)
-    target, tile, found = program.target.copy(), program.tile.copy(), []
-    science = science_targets(catalog)
-    for t, name in enumerate(catalog.extra["cadence"]):
-        if not science[t]:
-            continue
-        tiles = [k for k in np.argsort(days).tolist() if ((target == t) & (tile == k)).any()]
-        some = list(sequences(str(name), tiles, days, brightness))
-        index = program.extend(len(some))
-        if some:
-            program.add(index, 1)
-        for k in tiles:
-            mine, uses = np.flatnonzero((target == t) & (tile == k)), index[[k in one[0] for one in some]]
-            values = np.append(np.ones(len(mine)), -np.ones(len(uses)))
-            program.add(np.append(mine, uses), 0, 0, values)
-        found += [(t, visits, whole) for _, visits, whole in some]
-    rows = np.array(found, dtype=int).reshape(-1, 3)
-    classes = np.unique(catalog.priority[science])[::-1]
-    weights = np.zeros((len(classes), 2, len(program.target)))
-    for k, value in enumerate(classes):
-        mine = catalog.priority[rows[:, 0]] == value
-        weights[k, 0, n:], weights[k, 1, n:] = rows[:, 2] * mine, rows[:, 1] * mine
-    return program, weights
-
-
-def science_targets(catalog):
-    return np.ones(len(catalog), bool) if catalog.kind is None else np.char.find(catalog.kind, "science") >= 0
-
-
-def counts_of(survey, catalog):
-    """Return the complete cadences and the visits of each class, class by class."""
-    science = science_targets(catalog)
-    whole = np.asarray(survey.outcomes["observed"] == survey.outcomes["requested"])[science]
-    visits, priority = np.asarray(survey.outcomes["observed"])[science], catalog.priority[science]
-    classes = np.unique(priority)[::-1]
-    return [[int(one[priority == value].sum()) for one in (whole, visits)] for value in classes]
+pytestmark = pytest.mark.filterwarnings("ignore:no target was observed", "ignore:.*will not be observed")
 
 
 def program_of(instrument, tiling, catalog, first):
@@ -125,7 +45,7 @@ def counts_of_needs(part):
 
 
 @pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
-@pytest.mark.parametrize("chunk", [0, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(1, 6))])
+@pytest.mark.parametrize("chunk", [1, *(pytest.param(k, marks=pytest.mark.exhaustive) for k in (0, 2, 3, 4, 5))])
 @pytest.mark.parametrize("roles", [False, True])
 def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(roles, chunk):
     """Regression: in joint plans, each fiber of a science target that is also a standard used a visit."""
@@ -162,27 +82,9 @@ def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(roles, chunk):
         assert before <= found <= best, seed
         n_best += found == best
         n_better += found > before
-    assert n_best >= 0.8 * CHUNK or roles
+    assert n_best == CHUNK
     assert n_better
     assert n_reused or not roles
-
-
-def check_windows(survey, tiling, catalog):
-    """Check that every visit is allowed, completes an epoch, and collides with no other arm."""
-    targets = [Naive(str(name)) for name in catalog.extra["cadence"]]
-    days, brightness = (np.asarray(tiling.table[name]) for name in ("mjd", "skybrightness"))
-    for tile in np.argsort(days).tolist():
-        visits = survey._visits(tile)
-        assert not np.asarray(visits["in_collision"]).any()
-        rows = np.asarray(visits["target_row"])
-        others = set()
-        if catalog.kind is not None:
-            others = {*rows[np.char.find(np.asarray(visits["kind"]).astype(str), "science") < 0].tolist()}
-        for row in rows[rows >= 0].tolist():
-            if row in others:
-                continue
-            assert targets[row].allows(days[tile], brightness[tile])[0]
-            targets[row].observe(days[tile])
 
 
 def test_sky_fibers_remain_and_other_options_have_no_effect():

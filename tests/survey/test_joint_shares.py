@@ -5,7 +5,7 @@ from dataclasses import replace
 import astropy.units as u
 import numpy as np
 import pytest
-from joint_program import program_of, survey_with
+from joint_program import goals_of, program_of, with_categories
 from raising import refused
 
 import rfpsurvey as rs
@@ -13,22 +13,6 @@ from rfpsurvey._survey.joint import finished as search
 
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
 WEIGHTS = {"category": {}, "b=2 a=0.5": {"b": 2.0, "a": 0.5}}
-
-
-def with_categories(seed):
-    instrument, tiles, catalog, options, _ = survey_with(seed, "science")
-    category = np.random.default_rng([seed, 5]).choice(["a", "b", "c"], len(catalog), p=[0.5, 0.3, 0.2])
-    return instrument, tiles, replace(catalog, category=category), options
-
-
-def goals_of(program, catalog):
-    """Return the targets that require visits and are in a field, and add a variable that is 1 if each is finished."""
-    goals = np.flatnonzero(catalog.visits > 0)
-    first = program.extend(len(goals))
-    for t, y in zip(goals, first, strict=True):
-        visits = np.flatnonzero(program.target == t)
-        program.add([*visits, y], np.inf, 0, [1.0] * len(visits) + [-float(catalog.visits[t])])
-    return goals, first
 
 
 def smallest(numbers, sizes, weights):
@@ -58,7 +42,7 @@ def test_the_smallest_fraction_is_the_largest_possible(seeds, share):
         best = 0.0
         for value in values:
             program = program_of(instrument, tiles, catalog, options, [], [])
-            goals, first = goals_of(program, catalog)
+            goals, first = goals_of(program, catalog.visits)
             for name, n in sizes.items():
                 mine = first[catalog.category[goals] == name]
                 program.add(mine, np.inf, int(np.ceil(value * n * weights.get(name, 1.0) - 1e-9)))
@@ -104,6 +88,8 @@ def test_wrong_shares_are_refused():
             objective="finished",
             share=text,
         )
+    with pytest.raises(rs.InputError, match="share must have one weight for each category, got several for 'a'"):
+        rs.JointOptions(objective="finished", share="a=1 a=2")
     refused("share can be given only with the objective 'finished', got 'visits'", rs.JointOptions, share="category")
     for given, what in ((catalog, "nobody=2"), (replace(catalog, category=None), "category")):
         joint = rs.JointOptions(objective="finished", share=what, allocator=options, time_limit=5 * u.s)

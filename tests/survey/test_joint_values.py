@@ -192,7 +192,7 @@ def test_wrong_values_are_refused(text):
 def test_categories_must_be_those_of_the_catalog():
     instrument, tiles, catalog, options = scene(3, "categories")
     allocator = rs.JointOptions(objective="a:1=1 c:1=2", iterations=1, allocator=options)
-    message = r"objective must contain values of all categories of targets in the fields \(a, b\)"
+    message = r"objective must contain values of all categories of targets \(a, b\)"
     refused(message, rs.plan_survey, catalog, instrument, tiles, allocator=allocator)
     plain, message = replace(catalog, category=None), "values of categories require a catalog with categories"
     refused(message, rs.plan_survey, plain, instrument, tiles, allocator=allocator)

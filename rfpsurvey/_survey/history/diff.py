@@ -9,6 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.folder import check_file
+from rfpsurvey._survey.columns import NOT_PLANNED, PAST
 from rfpsurvey._survey.folder import part_name
 from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey._survey.history.events import WORDS, Events, TileState, places_of
@@ -24,7 +25,7 @@ DIFF = table_of(
     Column("after", "target of the positioner in the second survey; empty if there is none"),
     Column("reason", "reason of the change"),
 )
-STATES = WORDS | {TileState.PLANNED: "planned again"}
+STATES = WORDS | {TileState.PLANNED: "planned again", PAST: PAST}
 REASONS = (
     "other catalog",
     "target dropped",
@@ -87,7 +88,7 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         reasons = [] if states[0] == states[1] else [STATES[states[1]]]
         reasons += [] if earlier.places[rows[0]] == later.places[rows[1]] else ["moved"]
         parts.append(_changes(name, reasons))
-        if TileState.DROPPED in states:
+        if {*NOT_PLANNED} & {*states}:
             continue
         digests = earlier.digest(rows[0]), later.digest(rows[1])
         if digests[0] is None or digests[0] != digests[1]:

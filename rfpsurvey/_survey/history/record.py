@@ -21,6 +21,7 @@ from rfpsurvey._common.folder import LOCK, WAIT, locked, read_index, remove_temp
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import native_format, read_plan
 from rfpsurvey._sky.frames import as_table
+from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.folder import TABLES, clock, read_request
 from rfpsurvey._survey.generations import EVENTS, read_generations, replace_plan
 from rfpsurvey._survey.history.event_files import History, append_events, copied_bodies, read_events, write_copy
@@ -79,8 +80,12 @@ def record(
     allow_future: bool,
     dry_run: bool,
     groups: Callable[[str], dict[str, str]],
+    cadences: Callable[[], Cadences],
 ) -> dict:
-    """Append events to the folder of a survey; see `Survey.record`, and `History` for ``groups``."""
+    """Append events to the folder of a survey; see `Survey.record`, and `History` for ``groups``.
+
+    ``cadences`` returns the cadences of the survey, if it has any.
+    """
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
     for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
@@ -111,13 +116,22 @@ def record(
         survey = _present_survey(survey, folder)
         history = History(survey, folder, events, groups)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
+        has_cadences = "cadences" in survey.provenance["parameters"]
         if tile is None and "tile" not in roles:
             table = renamed(table, named)
             changes, n_known = target_changes(table, events, survey)
+            if has_cadences and (column := survey.provenance["rule_columns"][-1]) in changes.colnames:
+                cadences()._rows_of(changes[column])  # raises an error if a cadence is unknown
         else:
             dropped = {*history.states.dropped}
             tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces)
             states = history.states
+            added = [event.tile for event in tiles if event.state == TileState.ADDED and event.row >= len(survey)]
+            if added and has_cadences:
+                raise InputError(
+                    "added tiles of a survey with cadences must have times, and must therefore be in its table "
+                    f"of tiles (--replan with tiles= or --tiles), got {listed(added)}"
+                )
             if any(event.state == TileState.ADDED for event in tiles) or (states.added and dropped - {*states.dropped}):
                 names = ["tile", "ra", "dec", "position_angle", "pass"]
                 first = Tiling(QTable({**survey.tiles[names], "state": np.full(len(survey.tiles), TileState.DROPPED)}))
@@ -189,8 +203,6 @@ def _folder_of(survey) -> Path:
     """Return the folder of a survey in which events can be recorded."""
     if survey.folder is None:
         raise InputError("record needs a survey in a folder, got a survey that was planned without a folder")
-    if "cadences" in survey.provenance["parameters"]:
-        raise InputError("what was observed must be recorded in a survey without cadences, got one with cadences")
     return Path(survey.folder)
 
 

@@ -13,15 +13,17 @@ from rfpsurvey._common.units import to_visits
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
+from rfpsurvey._survey import source as _source
+from rfpsurvey._survey.cadences import Cadences, Windows
 from rfpsurvey._survey.folder import read_request
+from rfpsurvey._survey.history.dated import check_dates, replay_windows, times_of
 from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey._survey.history.events import Events, TileEvent, TileState, add_tiles, to_date
 from rfpsurvey._survey.history.replay import Replay, TileStates, last_results, replay, state_table
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.targets import apply_changes
-from rfpsurvey._survey.source import check_first_catalog, columns_of, digest_of, in_memory, is_same, is_science
 from rfpsurvey._survey.tiling.tiling import Tiling
-from rfpsurvey.errors import InputError, number_of, refusal, warn
+from rfpsurvey.errors import InputError, number_of, refusal
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +52,10 @@ class SurveyState:
     dropped : ndarray of bool, shape (n_targets,)
         Whether each target was dropped.
     given : tuple
-        The catalog of the first plan, the requested visits that were given with it, and the required targets.
+        The catalog of the first plan, the requested visits that were given with it, the required targets, and, with
+        cadences, the tiles.
+    windows : Windows or None
+        The epochs that the targets have completed, if the targets have cadences.
 
     Examples
     --------
@@ -79,6 +84,7 @@ class SurveyState:
     states: TileStates = field(repr=False, default=None)
     dropped: np.ndarray = field(repr=False, default=None)
     given: tuple = field(repr=False, default=())
+    windows: Windows | None = field(repr=False, default=None)
 
     @classmethod
     def read(
@@ -87,8 +93,9 @@ class SurveyState:
         catalog: Catalog | PartitionedCatalog,
         *,
         rule: VisitRule | None = None,
-        visits: int | np.ndarray | None = None,
+        visits: int | np.ndarray | Cadences | None = None,
         until: str | None = None,
+        tiles: Tiling | None = None,
     ) -> "SurveyState":
         """Return the state of the survey in a folder; see `rfpsurvey.Survey.state`.
 
@@ -100,6 +107,8 @@ class SurveyState:
             The targets of the first plan.
         rule, visits, until : optional
             As in `rfpsurvey.Survey.state`.
+        tiles : Tiling, optional
+            The planned tiles, which are required if the targets have cadences.
 
         Returns
         -------
@@ -118,39 +127,44 @@ class SurveyState:
             raise refusal("rule must be a VisitRule", rule)
         catalog = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
         request = read_request(_io.to_path(folder))
-        if "cadences" in request:
-            raise InputError(f"{folder} holds a survey with cadences, which cannot be continued from what was observed")
+        check_dates(folder, request, visits, tiles, rule.record)
         if visits is None and not rule.record:
-            _check_visits(request, catalog)
-        check_first_catalog(request, catalog, visits, rule)
+            _source.check_number_of_visits(request, catalog)
+        _source.check_first_catalog(request, catalog, None if isinstance(visits, Cadences) else visits, rule)
         until = None if until is None else to_date(until)
-        return cls._of(read_events(_io.to_path(folder)), (catalog, visits, request.get("required_ids")), rule, until)
+        given = catalog, visits, request.get("required_ids"), tiles
+        return cls._of(read_events(_io.to_path(folder)), given, rule, until)
 
     @classmethod
     def _of(cls, events: Events, given: tuple, rule: VisitRule, until: str | None, *, visited: bool = True):
         """Return the state after events; without ``visited``, as if no visit had been made or had failed."""
-        states, (catalog, visits, required) = TileStates(events.of_tiles(until)), given
+        states, (catalog, visits, required, tiles) = TileStates(events.of_tiles(until)), given
         dropped = np.zeros(len(catalog), dtype=bool)
+        cadences, visits = (visits, None) if isinstance(visits, Cadences) else (None, visits)
         if events.target_tables:
             usual = 1 if visits is None or np.ndim(visits) else int(visits)
-            catalog = in_memory(catalog, "events of targets")
+            catalog = _source.in_memory(catalog, "events of targets")
             if visits is not None:  # recorded numbers of visits replace these numbers
                 catalog, visits = replace(catalog, visits=to_visits(visits, len(catalog))), None
             catalog, dropped = apply_changes(catalog, events.target_tables, until, usual)
-        columns = columns_of(catalog, visits)
+        is_required = None if required is None else np.isin(_source.column_of(catalog, "id").astype(str), required)
+        visits = visits if cadences is None else cadences.visits(_source.in_memory(catalog, "cadences"), is_required)
+        columns = _source.columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
-        made = replayed.made if columns["kind"] is None else replayed.made * has_role(columns["kind"], "science")
+        windows = None if cadences is None else replay_windows(events, states, cadences, catalog, tiles)
+        made = replayed.made if windows is None else windows.counts()[:, 1].astype(np.uint8)
+        made = made if columns["kind"] is None else made * has_role(columns["kind"], "science")
         wanted, priority = rule.apply(
             {**columns, "observed": made, "failed": replayed.failed, "last": last_results(replayed)}
         )
         if required is not None:  # at least one visit of each required target is requested
-            is_required = np.isin(np.asarray(columns["id"]).astype(str), required)
             wanted = np.where(is_required & (wanted == 0) & ~dropped, np.uint8(1), wanted)
         wanted = np.where(dropped, np.minimum(wanted, made), wanted)
         left = np.where(wanted < made, np.uint8(0), wanted - made)
         if priority is not columns["priority"]:
-            catalog = replace(in_memory(catalog, "rules that change priorities"), priority=priority)
-        return cls(catalog, wanted, made, replayed.failed, left, events, rule, until, replayed, states, dropped, given)
+            catalog = replace(_source.in_memory(catalog, "rules that change priorities"), priority=priority)
+        about = events, rule, until, replayed, states, dropped, given, windows
+        return cls(catalog, wanted, made, replayed.failed, left, *about)
 
     def before(self, n: int) -> "SurveyState":
         """Return the state after the first files of events, as if no visit had been made.
@@ -174,10 +188,20 @@ class SurveyState:
 
     @cached_property
     def closed(self) -> dict[int, TileEvent | None]:
-        """Rows of the tiles that are not planned, with the observation of each observed tile, and None if dropped."""
+        """Rows of the tiles that are not planned, with the observation of each observed tile, and None for others."""
         states, done = (TileState.DONE, TileState.DROPPED), TileState.DONE
         events = [event for event in map(self.states.state_of, self.states.rows()) if event.state in states]
-        return {event.row: event if event.state == done else None for event in events}
+        return {event.row: event if event.state == done else None for event in events} | dict.fromkeys(self.past)
+
+    @property
+    def cadences(self) -> Cadences | None:
+        """The cadences of the targets; None if there are none."""
+        return self.given[1] if isinstance(self.given[1], Cadences) else None
+
+    @cached_property
+    def past(self) -> list[int]:
+        """Rows of the tiles that lie in the past without having been observed, if the targets have cadences."""
+        return [] if self.cadences is None else times_of(self.given[3], self.states)[1]
 
     @cached_property
     def begun(self) -> dict[int, TileEvent]:
@@ -221,7 +245,7 @@ class SurveyState:
     @cached_property
     def digest(self) -> str:
         """A digest of the catalog of the first plan, which is computed without an index on the sky."""
-        return digest_of(self.first)
+        return _source.digest_of(self.first)
 
     def present_events(self) -> Events:
         """Return all events in the folder, which can contain more than those of this state.
@@ -266,7 +290,7 @@ class SurveyState:
             If the catalog is another catalog.
         """
         given = catalog if isinstance(catalog, PartitionedCatalog) else as_catalog(catalog)
-        if not any(is_same(given, planned) for planned in (self.first, self.catalog)):
+        if not any(_source.is_same(given, planned) for planned in (self.first, self.catalog)):
             raise InputError(
                 f"the catalog must be that of the state, with {number_of(len(self), 'target')}, got another catalog "
                 f"with {number_of(len(given), 'target')}"
@@ -285,13 +309,17 @@ class SurveyState:
     @property
     def summary(self) -> dict:
         """Numbers of observed, partly observed and dropped tiles, and of successful and failed visits."""
-        observed = sum(event is not None for event in self.closed.values())
+        observed, cadences = sum(event is not None for event in self.closed.values()), {}
+        if self.cadences is not None:
+            n_made = int((self.replayed.made * _source.is_science(self.catalog)).sum())
+            cadences = {"n_tiles_past": len(self.past), "n_visits_not_counted": n_made - int(self.observed.sum())}
         return {
             "n_tiles_observed": observed,
             "n_tiles_partly_observed": len(self.begun),
-            "n_tiles_dropped": len(self.closed) - observed,
+            "n_tiles_dropped": len(self.closed) - observed - len(self.past),
             "n_visits_made": int(self.observed.sum()),
             "n_visits_failed": int(self.failed.sum()),
+            **cadences,
         }
 
     @property
@@ -364,20 +392,6 @@ class SurveyState:
 
     def __repr__(self):
         s = self.summary
-        return (
-            f"<SurveyState of {number_of(len(self), 'target')}: {number_of(s['n_tiles_observed'], 'tile')} observed, "
-            f"{number_of(s['n_visits_made'], 'visit')} made, {int(self.left[is_science(self.catalog)].sum())} left>"
-        )
-
-
-def _check_visits(request: dict, catalog: Catalog | PartitionedCatalog) -> None:
-    """Issue a warning if the first plan requested another number of visits than the catalog."""
-    first = request.get("first", request)
-    targets, said = (str(first.get(name, "")).partition(",")[0] for name in ("catalog", "visits"))
-    now = number_of(int(columns_of(catalog, None)["requested"].sum(dtype=np.int64)), "visit")
-    is_same = targets == number_of(len(catalog), "target")  # another catalog is an error when the survey is planned
-    if is_same and said not in ("", now) and not request.get("required"):
-        warn(
-            f"the first plan requested {said}, but the catalog requests {now}; give the visits= and rule= of the first "
-            "plan, unless they have changed"
-        )
+        n_left, of = int(self.left[_source.is_science(self.catalog)].sum()), number_of(len(self), "target")
+        made = f"{number_of(s['n_visits_made'], 'visit')} made, {n_left} left"
+        return f"<SurveyState of {of}: {number_of(s['n_tiles_observed'], 'tile')} observed, {made}>"

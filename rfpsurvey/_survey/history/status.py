@@ -9,6 +9,7 @@ from rfpsurvey._common.descriptions import Column, Fact, describe, facts_of, tab
 from rfpsurvey._field.verdicts import Outcome
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.bookkeeping import classes_by_column, rows_by_class
+from rfpsurvey._survey.columns import PAST
 from rfpsurvey._survey.folder import read_request
 from rfpsurvey._survey.history.events import WORDS, TileState, grouped, places_of
 from rfpsurvey._survey.history.replay import visits_of
@@ -39,6 +40,7 @@ STATUS_FACTS = (
     Fact("partly observed", "partly observed", "tiles", zero=True),
     Fact("bad", "observed without success", "tiles", zero=True),
     Fact("dropped", "dropped", "tiles", zero=True),
+    Fact(PAST, "not observed in time", "tiles"),
     Fact("planned", "not yet observed", "tiles", zero=True),
     Fact("dates", "first and last date"),
     Fact("generation", "generation of the plan"),
@@ -150,7 +152,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
 def status_facts(status: QTable) -> dict:
     """Return the labels and values of the status of a survey."""
     values = {name: int(status[name][0]) for name in status.colnames if name.startswith("n_")}
-    tiles = {name: sum(row[name] for row in status.meta["tiles"]) for name in WORDS.values()}
+    tiles = {name: sum(row.get(name, 0) for row in status.meta["tiles"]) for name in (*WORDS.values(), PAST)}
     dates = [date for date in status.meta["progress"]["date"] if date]
     first_and_last = f"{dates[0]} {dates[-1]}" if dates else None
     values |= {"generation": status.meta["generation"], "dates": first_and_last}
@@ -211,10 +213,13 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     """Return the numbers of tiles by state, for each pass; ``bad`` are tiles whose last observation failed."""
     passes = dict(enumerate(map(int, survey.tiles["pass"])))
     passes |= {row: event.place[3] for row, event in state.states.added.items()}
-    counts = {number: {"pass": number, **dict.fromkeys(WORDS.values(), 0)} for number in sorted({*passes.values()})}
+    past = {row for row in state.past if not state.states.of(row)}
+    names = dict.fromkeys([*WORDS.values(), *([] if state.cadences is None else [PAST])], 0)
+    counts = {number: {"pass": number, **names} for number in sorted({*passes.values()})}
     for row, number in passes.items():
         last, is_bad = state.states.state_of(row).state, bool(state.states.of(row))
-        counts[number]["bad" if last == TileState.PLANNED and is_bad else WORDS[last]] += 1
+        name = PAST if row in past else "bad" if last == TileState.PLANNED and is_bad else WORDS[last]
+        counts[number][name] += 1
     return [*counts.values()]
 
 

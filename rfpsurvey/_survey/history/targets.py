@@ -93,7 +93,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     unknown = [name for name in survey.provenance.get("rule_columns", ()) if name in lacking and name not in further]
     if len(new) and unknown:
         raise InputError(
-            f"a table with added targets must have the column {unknown[0]}, which a rule of the survey uses, got "
+            f"a table with added targets must have the column {unknown[0]}, which the survey uses, got "
             f"{listed(table.colnames)}"
         )
     if len(new) and lacking:

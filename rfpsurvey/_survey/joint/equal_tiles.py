@@ -68,7 +68,7 @@ class EqualTiles:
             )
             unit = csr_array((shares.size * shares.weight / UNITS)[:, None])
             matrix = vstack([hstack([matrix, csr_array((len(high), 1))]), hstack([count, unit])], format="csr")
-            high = np.append(high, np.zeros(len(shares.size)))
+            high = np.append(high, shares.before)
             objective, most = np.append(0.0 * objective, 1.0), np.append(most, UNITS / shares.weight.min())
         program = matrix, np.full(len(high), -np.inf), high
         limits = {"gap": 0.0, "presolve": True, "nodes": int(EFFORT / max(n + q, 1))}

@@ -131,8 +131,9 @@ class Exposures:
             group, n = shares.group[self.slots], len(shares.size)
             lists = order[np.argsort(group[order], kind="stable")]
             lists = lists[group[lists] >= 0]
-            done = np.bincount(group[finished & (group >= 0)], minlength=n)
-            done += np.bincount(shares.group[self.is_finished & (shares.group >= 0)], minlength=n)
+            is_done = self.is_finished.copy()
+            is_done[self.slots[finished]] = True
+            done = shares.count(is_done)
             scale = shares.size * shares.weight
             given = lists, _starts(group[lists], n), scale, done
             kernels.finish_targets(*given, needed, *state)

@@ -352,15 +352,7 @@ class FinishedSearch(WindowSearch):
 
     def _use(self, chosen) -> None:
         """Replace the plan."""
-        network = self.network
-        self.chosen = self._without_surplus(chosen)
-        used = np.bincount(self.chosen, minlength=len(network.target))
-        self._load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
-        self._links.room[:] = self.limits - network.sums(self.chosen)
-        self._used[:] = -1
-        mine = self.chosen[self._place_of[self.chosen] >= 0]
-        self._used[self._place_of[mine]] = mine
-        self._done = self._counts_of_targets()
+        super()._use(self._without_surplus(chosen))
 
     def add_visits(self) -> None:
         """Add visits of targets that are not finished, along paths that keep the visits of all other targets."""

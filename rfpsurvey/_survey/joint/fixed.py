@@ -270,7 +270,7 @@ def _recorded_tiles(request) -> dict[int, TilePlan]:
             "a joint plan of a survey with partly observed tiles needs positioners of one handedness, because a survey "
             "does not record to which side an arm bends"
         )
-    every, left = np.ones(len(request.builder.left), dtype=np.uint8), request.builder.left.copy()
+    every, before = np.ones(len(request.builder.left), dtype=np.uint8), request.open_state()
     plans = {row: _plan_of(plane, [], [], []) for row in state.closed}
     for tile, event in state.begun.items():
         visits = state.events.visits(event)[0]
@@ -278,9 +278,9 @@ def _recorded_tiles(request) -> dict[int, TilePlan]:
         field = request.job(tile, every).field
         base = field.slot[np.searchsorted(field.row, visits["target_row"])]
         slot = with_roles(request.builder, base, visits)
-        counted = visits["observed"].astype(bool) & ((left[base] > 0) | (slot != base))
+        counted = visits["observed"].astype(bool) & (before.allows(base, tile) | (slot != base))
         plans[tile] = _plan_of(plane, visits["positioner"], slot, counted)
-        left[plans[tile].spent(request.builder)] -= 1
+        before.spend(plans[tile].spent(request.builder), tile)
     return plans
 
 

@@ -19,12 +19,14 @@ from rfpsurvey._assignment.weighted import GivenPlan, ListCandidates, TileCandid
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.units import exact_text
 from rfpsurvey._field.targets import FieldBuilder
+from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.joint.exposures import Exposures
 from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
 from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of, table_of
 from rfpsurvey._survey.joint.shares import Shares
+from rfpsurvey._survey.joint.values import worth_of
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Done, Job, plan_of, projection_of, run_rounds
@@ -52,9 +54,8 @@ def _list(job: Job) -> tuple[TileCandidates, np.ndarray]:
 
 def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable) -> list[TilePlan]:
     """Plan the tiles one after the other, and return their plans; ``fixed`` contains plans of observed tiles."""
-    state, plans = request.open_state(), [None] * len(request.tiling)
+    state, plans = _state_after(request, fixed), [None] * len(request.tiling)
     for tile, observed in fixed.items():
-        state.left[observed.spent(request.builder)] -= 1
         plans[tile] = TilePlan(np.where(observed.counted, observed.slot, -1), observed.side)
 
     def enter(tile: int, job: Job, answer: tuple) -> None:
@@ -69,6 +70,14 @@ def first_plans(request, fixed: dict, executor: Executor | None, tell: Callable)
     for done, _ in enumerate(results, len(fixed) + 1):
         tell(done)
     return plans
+
+
+def _state_after(request, fixed: dict) -> Bookkeeping:
+    """Return the state after the visits of fixed tiles."""
+    state = request.open_state()
+    for tile, observed in fixed.items():
+        state.spend(observed.spent(request.builder), tile)
+    return state
 
 
 def list_all(
@@ -126,9 +135,10 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
         return _list(_with_allocator(request, job.bare(), ListCandidates(nothing)))[0]
 
     exposures = Exposures(request, fixed, class_of, len(names), list_tile)
-    shares, share = None, request.joint.share
+    shares, share, builder = None, request.joint.share, request.builder
     if share:
-        shares = Shares.of(share, request.source.by_slot("category"), exposures.in_field & (class_of < len(names)))
+        counted = exposures.in_field & (class_of < len(names)), (builder.wanted > 0) & (builder.left == 0)
+        shares = Shares.of(share, request.source.by_slot("category"), *counted)
     found, listed = exposures.finish(plans, shares, request.seed)
     starts, n = [found], len(names)
     weights = (1e4 ** (np.arange(n - 1, -1, -1.0) / max(n - 1, 1)))[np.minimum(class_of[exposures.slots], n - 1)]
@@ -293,11 +303,12 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
         The value of ``progress`` for the step after the search, in which the tiles are written.
     """
     n, n_positioners = len(request.tiling), len(request.instrument.focal_plane)
-    names, has_cadences = classes_of(request)[1], request.cadences is not None
+    (class_of, names), has_cadences = classes_of(request), request.cadences is not None
     is_finished = request.joint.objective != "visits" and not has_cadences
     folder = None if has_cadences or is_finished else folder
     stored = None if folder is None else read_state(folder, n, n_positioners, len(levels_of(len(names))))
     fixed = fixed_tiles(request)
+    before = _state_after(request, fixed)
     tell, steps = progress, n + request.joint.iterations + 1
     if callable(progress):  # the search and the writing of the tiles report the same total number of steps
         tell, progress = (partial(_tell, progress, before, steps + n) for before in (0, steps))
@@ -319,11 +330,17 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
         goals = [] if has_cadences or is_finished else goals_of(request, network, subpriority)
         chosen, *others = (place(network, plans) for plans in starts)
         if has_cadences:
-            search = WindowSearch(network, chosen, request)
+            search = WindowSearch(network, chosen, request, before)
         elif is_finished:
             search = FinishedSearch(network, (chosen, *others), request, directions, shares, exposures)
         else:
             search = Search(network, chosen, directions, request.joint, request.seed, stored, len(goals))
+        is_complete = (request.builder.wanted > 0) & ((request.builder if is_finished else before).left == 0)
+        category = request.source.by_slot("category")
+        category = category if category is None else category[is_complete]
+        worth = worth_of(request.joint.objective, request.builder.wanted[is_complete], category)
+        worth = np.bincount(class_of[is_complete], worth, minlength=len(names))
+        search.complete_before = np.cumsum(worth)[search.levels]
         if stored is None:
             search.begin()
             if request.joint.inform is not None:

@@ -84,6 +84,8 @@ class JointSearch:
         self.bounds_of_all = self.bounds.copy()
         self.iteration, self.spent, self._reserved, self._begin = 0, 0.0, 0.0, perf_counter()
         self.steps: list[Step] = []
+        self.complete_before = np.zeros(len(self.levels), dtype=np.int64)
+        """Number of targets of each level that need no further visits."""
 
     record: ClassVar[dict] = {}
     """Further entries of the summary."""
@@ -361,7 +363,8 @@ def table_of(search: JointSearch, names: list[str]) -> QTable:
             row = step.iteration, names[level], visits, int(bound), gap, round(step.seconds, 2)
             if step.complete is not None:
                 kind = float if step.complete.dtype.kind == "f" else int
-                row += kind(step.complete[k]), kind(max(step.complete[k], step.bound_complete[k]))
+                complete = step.complete[k], max(step.complete[k], step.bound_complete[k])
+                row += tuple(kind(n + search.complete_before[k]) for n in complete)
             rows.append(row)
     columns = ("iteration", "priority", "n_visits", "bound", "gap", "seconds", *search.columns)
     table, levels, n = QTable(rows=rows, names=columns[: len(rows[0])]), [], len(search.levels)

@@ -23,6 +23,8 @@ def weights_in(text: str) -> dict[str, float]:
     weights = {}
     for word in text.split():
         name, _, value = word.rpartition("=")
+        if name in weights:
+            raise InputError(f"share must have one weight for each category, got several for {name!r}")
         try:
             weights[name] = float(value)
         except ValueError:
@@ -38,29 +40,34 @@ def weights_in(text: str) -> dict[str, float]:
 
 @dataclass(frozen=True, eq=False)
 class Shares:
-    """The category of each target, and the number of targets in each category times its weight."""
+    """The category of each target, and the number of targets and the weight of each category."""
 
     names: tuple[str, ...]
     group: np.ndarray  # -1 for targets that do not count
     size: np.ndarray
     weight: np.ndarray
+    before: np.ndarray  # number of targets that were finished before, which are not in the network
 
     @classmethod
-    def of(cls, text: str, category: np.ndarray | None, counted: np.ndarray) -> "Shares":
-        """Return the shares of the targets that are ``counted``; all arrays are in the order of slots."""
+    def of(cls, text: str, category: np.ndarray | None, counted: np.ndarray, is_finished: np.ndarray) -> "Shares":
+        """Return the shares of the targets that are ``counted``; all arrays are in the order of slots.
+
+        ``is_finished`` is whether all visits of each target were made before.
+        """
         weights = weights_in(text)
         if category is None:
             raise InputError("share requires a catalog with categories, got a catalog without the column category")
-        names, group = np.unique(category[counted], return_inverse=True)
+        names, group = np.unique(np.append(category[counted], category[is_finished]), return_inverse=True)
+        group, n = group.reshape(-1), int(counted.sum())
         if unknown := sorted({*weights} - {*names.tolist()}):
             raise InputError(
                 f"share must name categories of targets in the fields ({listed(names.tolist(), 8)}), got "
                 f"{listed(unknown)}"
             )
         of_slot = np.full(len(counted), -1)
-        of_slot[counted] = group.reshape(-1)
-        size = np.bincount(of_slot[counted], minlength=len(names))
-        return cls(tuple(names.tolist()), of_slot, size, np.array([weights.get(name, 1.0) for name in names]))
+        of_slot[counted] = group[:n]
+        size, before = (np.bincount(some, minlength=len(names)) for some in (group, group[n:]))
+        return cls(tuple(names.tolist()), of_slot, size, np.array([weights.get(name, 1.0) for name in names]), before)
 
     def on(self, slot: np.ndarray) -> "Shares":
         """Return the shares with the category of each target with a slot, or a negative number."""
@@ -69,7 +76,7 @@ class Shares:
 
     def count(self, done: np.ndarray) -> np.ndarray:
         """Return the number of finished targets of each category."""
-        return np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
+        return self.before + np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
 
     def fractions(self, number: np.ndarray) -> np.ndarray:
         """Return the finished fraction of each category divided by its weight."""

@@ -109,7 +109,7 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
     base, rows = np.zeros(n), []
     for name, table in values.items():
         numbers = np.array(sorted(table))
-        worth = np.append(0.0, [table[k] for k in numbers.tolist()])
+        worth = _worth(table)
         mine = names == name
         had = worth[np.searchsorted(numbers, before[mine], side="right")]
         base[goals[mine]] = had
@@ -124,14 +124,30 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
     return Steps(starts, number[order].astype(np.int64), value[order], base, target[order])
 
 
+def worth_of(objective: str, visits: np.ndarray, category: np.ndarray | None) -> np.ndarray:
+    """Return the value of each target with a number of visits, or 1 if the objective is no table of values."""
+    if "=" not in objective:
+        return np.ones(len(visits))
+    values, worth = values_in(objective), np.zeros(len(visits))
+    for name, table in values.items():
+        mine = np.full(len(visits), True) if category is None or not name else category == name
+        worth[mine] = _worth(table)[np.searchsorted(sorted(table), visits[mine], side="right")]
+    return worth
+
+
+def _worth(table: dict[int, float]) -> np.ndarray:
+    """Return the values of no visits, and of at least each number of visits of a table."""
+    return np.append(0.0, [table[number] for number in sorted(table)])
+
+
 def _categories(values: dict, category: np.ndarray | None, slots: np.ndarray) -> np.ndarray:
-    """Return the category of each slot; raise an error if the catalog and the values have other categories."""
+    """Return the category of each slot; raise an error if the values are not those of categories of the catalog."""
     if category is None:
         raise InputError("values of categories require a catalog with categories, got a catalog without category")
     names = category[slots]
-    if {*names.tolist()} != {*values}:
+    if not {*names.tolist()} <= {*values} <= {*category.tolist()}:
         raise InputError(
-            "objective must contain values of all categories of targets in the fields "
-            f"({listed(sorted({*names.tolist()}), 8)}) and of no others, got {listed(sorted(values), 8)}"
+            "objective must contain values of all categories of targets "
+            f"({listed(np.unique(names).tolist(), 8)}) and of no others, got {listed(sorted(values), 8)}"
         )
     return names

@@ -7,13 +7,22 @@ bounds, prices replace the limits that a positioner has one target and that arms
 optimization); each target then has its own best sequence.
 """
 
+from copy import deepcopy
+from itertools import product
+
 import numpy as np
 
+from rfpsurvey._assignment.clock import now
 from rfpsurvey._kernels import windows as kernels
+from rfpsurvey._kernels.paths import TOLERANCE
+from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import NIGHT
-from rfpsurvey._survey.joint.network import Network, Paths
+from rfpsurvey._survey.joint.network import Network, Patches, Paths
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
+from rfpsurvey._survey.joint.sequences import SequenceProgram, all_sequences
 
+# Largest number of candidates, and of sequences, up to which one program contains all tiles.
+MOST_OF_ALL = 10_000
 # Number of times that an iteration considers each target that is not complete.
 PASSES = 20
 # Number of adjustments of the prices for each bound. The step is halved if the bound does not decrease LATE times.
@@ -25,38 +34,45 @@ ROUNDING = 1e-6, 1e-9
 
 
 class WindowSearch(JointSearch):
-    """A plan of all tiles that observes targets in their windows, and upper bounds."""
+    """A plan of all tiles that observes targets in their windows, and upper bounds.
 
-    def __init__(self, network: Network, chosen: np.ndarray, request):
+    ``before`` is the state after the visits that were already made, and those of fixed tiles.
+    """
+
+    def __init__(self, network: Network, chosen: np.ndarray, request, before: Bookkeeping | None = None):
         super().__init__(network, chosen, request.joint)
-        self.request, self._links = request, Paths(network).links
+        self.request, self._before, self._links = request, before, Paths(network).links
         self._dates, place_of, self._time_of = self._make_dates()
         self._place_of = place_of
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
         self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
-        self._load = network.matrix[: network.n_cliques] @ np.bincount(chosen, minlength=len(network.target))
-        self._load = self._load.astype(np.int64)
-        self._links.room[:] = self.limits - network.sums(chosen)
-        self._used, self._done = np.full(n_places, -1), self._counts_of_targets()
-        mine = chosen[place_of[chosen] >= 0]
-        self._used[place_of[mine]] = mine
+        self._used = np.full(n_places, -1)
+        self._use(self.chosen)
         self.bounds_complete = self.bounds.copy()
 
     def _make_dates(self) -> tuple[kernels.Dates, np.ndarray, np.ndarray]:
         """Return the result of `dates_of`."""
-        request = self.request
+        request, network, windows = self.request, self.network, self._before.windows
         cadences, row = request.cadences
-        return dates_of(
-            self.network, cadences.epochs, request.source.to_slots(row), request.days, request.brightness, NIGHT
-        )
+        given = cadences.epochs, request.source.to_slots(row), request.times, request.brightness, NIGHT
+        dates, *others = dates_of(network, *given)
+        slot = np.where(network.rank_of_target < network.n_classes, network.slot, -1)
+        past = dict(zip(("skipped", "made", "begun", "previous"), windows.past(), strict=True))
+        fresh = {name: getattr(dates, name) for name in past}
+        past = {name: np.where(slot >= 0, values[slot], fresh[name]) for name, values in past.items()}
+        return dates._replace(**past), *others
 
     @property
     def counts(self) -> np.ndarray:
         """Numbers of complete cadences and of visits of each level in the present plan, shape (n_levels, 2)."""
+        return np.cumsum(self._by_class, axis=0)[self.levels]
+
+    @property
+    def _by_class(self) -> np.ndarray:
         by_class = np.zeros((self.network.n_classes + 1, 2), dtype=self._done.dtype)
         np.add.at(by_class, self.network.rank_of_target, self._done)
-        return np.cumsum(by_class, axis=0)[self.levels]
+        return by_class[:-1]
 
     @property
     def visits(self) -> np.ndarray:
@@ -64,16 +80,29 @@ class WindowSearch(JointSearch):
         return self.counts[:, 1]
 
     def _counts_of_targets(self) -> np.ndarray:
-        """Return whether each target is complete, and its number of visits, in the first plan."""
-        network, windows = self.network, self.request.open_state().windows
+        """Return whether the first plan completes each target, and its number of visits in new epochs."""
+        network, windows = self.network, deepcopy(self._before.windows)
+        before = windows.counts()
         slots = np.append(network.slot, -1)[network.target[self.chosen]]
-        counted = network.rank[self.chosen] < network.n_classes
-        for tile in np.argsort(self.request.days, kind="stable").tolist():
+        # positioners of fixed tiles have a single candidate
+        counted = (network.rank[self.chosen] < network.n_classes) & (np.diff(network.start) > 1)
+        for tile in np.argsort(self.request.times, kind="stable").tolist():
             part = slice(network.first[tile], network.first[tile + 1])
             slot = slots[part][counted[part]]
             windows.enter(slot[windows.state(slot, tile)[0]], tile)
-        counts = np.concatenate([windows.counts(), np.zeros((1, 2), dtype=np.int64)])
+        counts = np.concatenate([windows.counts() - before, np.zeros((1, 2), dtype=np.int64)])
         return counts[np.where(network.rank_of_target < network.n_classes, network.slot, -1)]
+
+    def _use(self, chosen: np.ndarray) -> None:
+        """Replace the plan."""
+        network, self.chosen = self.network, chosen
+        used = np.bincount(chosen, minlength=len(network.target))
+        self._load = (network.matrix[: network.n_cliques] @ used).astype(np.int64)
+        self._links.room[:] = self.limits - network.sums(chosen)
+        self._used[:] = -1
+        mine = chosen[self._place_of[chosen] >= 0]
+        self._used[self._place_of[mine]] = mine
+        self._done = self._counts_of_targets()
 
     def begin(self) -> None:
         """Improve the first plan, and compute the bounds."""
@@ -86,8 +115,13 @@ class WindowSearch(JointSearch):
         self._record()
 
     def iterate(self, _executor: object) -> None:
-        """Run one iteration, which considers each target that is not complete several times."""
+        """Run one iteration, which considers each target that is not complete several times.
+
+        In small surveys, integer programs of all sequences then find the best plan.
+        """
         self._improve(PASSES)
+        if self.iteration == 0:
+            self._solve_all()
         self.iteration += 1
         self._record()
 
@@ -111,7 +145,7 @@ class WindowSearch(JointSearch):
     def _improve(self, passes: int) -> None:
         """Try to complete each target that is not complete, a number of times."""
         rng = np.random.default_rng([self.request.seed, self.iteration, passes])
-        totals = np.diff(self._dates.e_indptr)[self._dates.cadence]
+        totals = np.diff(self._dates.e_indptr)[self._dates.cadence] - self._dates.skipped
         real = (self.network.rank_of_target < self.network.n_classes) & (totals > 0)
         gain = np.zeros((self.network.n_classes + 1, 2), dtype=np.int64)
         for _ in range(passes):
@@ -122,6 +156,54 @@ class WindowSearch(JointSearch):
             state = self.chosen, self._load, self._used, self._done
             work = self._cost, self._found, self._work, self._picked
             kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
+
+    def _solve_all(self) -> None:
+        """Find the best plan and the bounds by integer programs of all sequences, unless there are too many."""
+        network, n_classes = self.network, self.network.n_classes
+        is_best = (self.counts == np.column_stack([self.bounds_complete, self.bounds])).all()
+        if is_best or len(network.target) > MOST_OF_ALL or self._needs_other_visits():
+            return
+        sequences = all_sequences(self._dates, MOST_OF_ALL)
+        if sequences is None or self.out_of_time():
+            return
+        patches = Patches(network, np.zeros(len(network.start) - 1, dtype=np.int64))
+        load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
+        limits, deadline = np.append(network.most, self.limits), now() + min(self._limit - self.seconds, 1e9)
+        rows, problem = patches.within(0, self.chosen, load, limits, np.zeros(len(network.target)), deadline, 0.5)
+        rank, per = network.rank_of_target[sequences.target], (sequences.whole, sequences.visits)
+        program = SequenceProgram(problem, self._place_of[rows], sequences)
+        has_all = network.usable.all() and not network.free.any()
+        for k, j in reversed([*product(range(len(self.levels)), range(2))]):
+            bounds, is_first = (self.bounds_complete, self.bounds)[j], (k, j) == (0, 0)
+            if is_first or (has_all and self.counts[k, j] < bounds[k]):
+                bound = np.floor(program.maximize(per[j] * (rank <= self.levels[k])))
+                bounds[k] = min(bounds[k], bound) if has_all else bounds[k]
+        for level, value in product(range(n_classes), per):
+            if (level, value is per[0]) != (0, True):  # the last program found the largest number of the first goal
+                program.maximize(value * (rank == level))
+            if program.chosen is None:
+                return
+            program.keep(value * (rank == level))
+        before, after = self.chosen, self.chosen.copy()
+        after[patches.members[0]] = rows[program.chosen]
+        number = self._by_class.ravel().tolist()
+        self._use(after)
+        if self._by_class.ravel().tolist() < number or (self._links.room < -TOLERANCE).any():
+            self._use(before)
+
+    def _needs_other_visits(self) -> bool:
+        """Return whether visits that complete no epoch, which are not in the program, can meet a requirement.
+
+        Targets that also have another role can meet requirements in this role, without a visit.
+        """
+        network, n = self.network, len(self.request.builder.left)
+        for row in range(len(network.rule_most)):
+            part = network.rules[[row]]
+            members = part.indices[part.data < 0]
+            slot, is_science = network.slot[network.target[members]], network.rank[members] < network.n_classes
+            if not np.isin(slot[is_science], slot[~is_science] - n).all():
+                return True
+        return False
 
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of complete cadences and of visits of a level."""
@@ -250,7 +332,9 @@ def dates_of(
     of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
     of_tiles = days[in_time], brightness[in_time], night
     cadence = np.where(cadence < 0, len(epochs) - 1, cadence)
-    return kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles), place_of, time_of
+    past = np.zeros((2, n_targets), dtype=np.int64), np.full((2, n_targets), np.nan)
+    dates = kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles, *past[0], *past[1])
+    return dates, place_of, time_of
 
 
 def _starts(index: np.ndarray, n: int) -> np.ndarray:

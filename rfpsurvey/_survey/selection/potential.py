@@ -18,6 +18,7 @@ from rfpsurvey._common.executors import Progress
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog
+from rfpsurvey._survey.columns import NOT_PLANNED
 from rfpsurvey._survey.plan import prepare_request
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.selection.probabilities import count_type
@@ -246,7 +247,7 @@ class PotentialAssignments:
         if self.survey is None or "state" not in self.survey.tiles.colnames:
             return np.zeros(len(names), dtype=bool)
         table = self.survey.tiles
-        return np.isin(names, np.asarray(table["tile"])[np.asarray(table["state"]) == "dropped"])
+        return np.isin(names, np.asarray(table["tile"])[np.isin(table["state"], NOT_PLANNED)])
 
 
 def reachable(job: Job) -> tuple[np.ndarray, np.ndarray]:

@@ -150,10 +150,7 @@ def selection_probabilities(
     """
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
-    if survey is not None and "cadences" in survey.provenance["parameters"]:
-        raise InputError(
-            "selection probabilities must be computed for a survey without cadences, got one with cadences"
-        )
+    check_without_cadences(catalog if is_state else survey)
     if survey is not None:
         tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
     check_whole(n_realizations, "n_realizations", 1, MOST)
@@ -199,6 +196,19 @@ def selection_probabilities(
         warn("no target was observed: check that tiles and targets are in the same part of the sky")
     log.info("planned %d realizations in %.1f s: %s", n_realizations, perf_counter() - begin, result.summary)
     return result
+
+
+def check_without_cadences(survey: object) -> None:
+    """Raise an error if a survey has cadences; it can be a `Survey`, a state or the keys of a survey, or None."""
+    if isinstance(survey, Survey):
+        has_cadences = "cadences" in survey.provenance["parameters"]
+    else:
+        has_cadences = getattr(survey, "cadences", None) is not None
+    if has_cadences:
+        raise InputError(
+            "selection probabilities must be computed for a survey without cadences, because realizations contain only "
+            "the numbers of remaining visits and not the times of visits, got one with cadences"
+        )
 
 
 def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:

@@ -363,3 +363,8 @@ def _refuse_twins(tile, angles, number, table):
             f"tiles {tile[first[k]]} and {tile[k]} are the same: pass {number[k]}, center {angles['ra'][k]:.6f} "
             f"{angles['dec'][k]:+.6f} deg" + (f"; further repeated tiles: {len(twin) - 1}" if len(twin) > 1 else "")
         )
+
+
+def in_passes(tiling: Tiling | None, passes: list[int] | None) -> Tiling | None:
+    """Return the tiles of some passes; all tiles if ``passes`` is None."""
+    return tiling if None in (tiling, passes) else Tiling(tiling.table[np.isin(tiling.table["pass"], passes)])

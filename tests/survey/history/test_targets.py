@@ -71,7 +71,7 @@ def test_targets_of_two_tables_are_added_one_after_the_other(case, survey):
 
 def test_columns_that_are_not_recorded_are_named(extended):
     sky, _, survey = extended
-    with pytest.raises(rs.InputError, match="must have the column g, which a rule of the survey uses, got target"):
+    with pytest.raises(rs.InputError, match="must have the column g, which the survey uses, got target"):
         survey.record(new(field=[1, 2]))
     text = "the values of field, flag, name are not recorded for all added targets; rules treat them as missing"
     with pytest.warns(rs.RfpsurveyWarning, match="the values of field, name, flag are not recorded|" + text):
