@@ -220,14 +220,14 @@ def _model_in(keys: SurveyKeys) -> Instrument | None:
     """Return the instrument that is required to read the catalog of a survey; None if no key describes it."""
     if "instrument" in (keys.python or ()):
         return None
-    return as_instrument(keys.instrument.name) if keys.catalog.path else key_objects.model_of(keys.instrument)
+    return key_objects.model_of(keys.instrument, key_objects.any_time)
 
 
 def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **given: object) -> dict:
     """Return the parameters of `plan_survey` for keys; ``given`` contains parameters in place of those of the keys."""
     tiling = as_tiling(given["tiles"]) if "tiles" in given else read_tiles(keys.tiles, tell=tell)
     if "instrument" in given:
-        model = as_instrument(given["instrument"])
+        model = as_instrument(given["instrument"], may_be_dated=True)
     else:
         time = partial(key_objects.time_of_tiles, tiling, keys.epoch, keys.conditions)
         model = key_objects.model_of(keys.instrument, time, tell=tell)
@@ -260,11 +260,11 @@ def check_inputs(folder: Path, request: dict) -> None:
     tiling = key_objects.tiles_under(tiling, keys.conditions)
     if keys.tiles.passes is not None:
         tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
-    present, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
-    if present != recorded:
-        raise InputError(
-            f"{folder / key_objects.RECORD} must name the tiles of the first plan, {recorded}, got {present}"
-        )
+    recorded, digest_of = request.get("first", request).get("tiles"), partial(tiles_digest, tiling)
+    conditions = conditions_of_tiles(tiling)
+    if recorded != digest_of(conditions) and recorded != digest_of(conditions, dates=True):
+        text = f"must name the tiles of the first plan, {recorded}, got {digest_of(conditions)}"
+        raise InputError(f"{folder / key_objects.RECORD} {text}")
 
 
 def write_call(request, call: dict, folder: Path, place: Path) -> None:

@@ -114,17 +114,20 @@ def test_a_scored_tile_has_the_time_of_its_conditions(call, broken, tmp_path):
     assert out.startswith(f"{PRINTED} at 2026-02-01T04:00:00 (UTC): 1 broken, 1 stuck.\n")
 
 
-def test_the_states_of_a_survey_must_be_the_same_at_all_times(call, refused, broken, tiles):
+def test_each_tile_of_a_survey_has_the_states_of_its_time(call, refused, broken, tiles, tmp_path):
     words = f"survey {APO} {BROKEN} --tiles {{}}"
     site = f"{words} --set 'conditions.site=apache point'"
     text = call(site, broken, tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00")).text
     assert text.startswith(f"{PRINTED} at 2026-01-15T06:00:00 to 2026-02-15T04:00:00 (UTC): 1 broken, 1 stuck.")
     path = tiles("2026-01-15T06:00:00", "2026-03-03T03:00:00")
-    text = refused(site, broken, path)
-    assert "(2026-01-15T06:00:00 to 2026-03-03T03:00:00), but the state of R0C2 changes" in text
+    for number, start in enumerate((site, words)):  # with and without conditions
+        folder = tmp_path / f"plan{number}"
+        out = call(f"{start} --folder {{}}", broken, path, folder).out
+        assert out.startswith(f"{PRINTED} at the time of each tile.")
+        survey = rs.Survey.read(folder)
+        assert survey.summary["n_fibers"] == 498 + 499
+        assert not {"R+3C5", "R0C2"} & {*survey.tile(0)["positioner"].tolist()}
     assert "1 broken, 0 stuck" in call(f"{site} {TIME}2026-03-01", broken, path).out
-    # without conditions, times are not used
-    assert "--set instrument.state_time=DATE" in refused(words, broken, path)
 
 
 def test_a_survey_is_not_resumed_with_other_states(call, refused, broken, always, tmp_path):

@@ -155,7 +155,8 @@ def selection_probabilities(
             "selection probabilities must be computed for a survey without cadences, got one with cadences"
         )
     if survey is not None:
-        tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
+        names = ("tile", "ra", "dec", "position_angle", "pass", *["time"] * ("time" in survey.tiles.colnames))
+        tiles = survey.tiles[names]
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
         raise InputError(
