@@ -44,7 +44,8 @@ def test_tables_apply_at_each_time(small, seed):
         table["from"], table["to"] = as_times(first).isot, as_times(last + 1).isot
         tables.append(table)
     tables.append(Table({"id": [3, 4]}))
-    times, many = as_times(random_times(rng, 20)), small
+    # a state begins at its first moment, and has ended at its last
+    times, many = Time([*as_times(random_times(rng, 20)).isot, *tables[0]["from"][:5], *tables[0]["to"][:5]]), small
     for table in tables:
         many = many.with_states(table, time=times)
     read = small.with_states(tables[0], time=times)

@@ -221,6 +221,8 @@ def test_probabilities_and_counts_use_the_states_of_each_tile(seed):
     survey = rs.plan_survey(catalog, worn, tiling, allocator=options)
     assert result.realizations["n_assigned"][0] == survey.summary["n_assigned"]
     assert result.summary["n_fibers"] == survey.summary["n_fibers"]
+    again = rs.selection_probabilities(catalog, worn, survey, n_realizations=3, allocator="nearest", rng=seed)
+    np.testing.assert_array_equal(again.probability, result.probability)
     pairs = rs.selection.potential_assignments(catalog, worn, tiling).table
     for row in range(4):
         owners = {*np.asarray(pairs["positioner"])[np.asarray(pairs["tile"]) == 11 + row].tolist()}

@@ -8,12 +8,13 @@ import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from astropy.time import Time
-from raising import warned
+from raising import refused, warned
 
 import rfpsurvey as rs
 
 TIMES = ("2020-01-10T05:00:00", "2020-01-10T05:00:00", "2020-07-01T05:00:00")
-STATES = {"id": [1, 2, 3], "state": ["broken"] * 3, "from": ["2020-02-01", "2020-06-01", "2020-01-10T12:00:00"]}
+STARTS = ["2020-02-01", "2020-06-01", "2020-01-10T12:00:00", "2020-01-10T03:00:00"]
+STATES = {"id": [1, 2, 3, 4], "state": ["broken"] * 4, "from": STARTS}
 
 
 def planned(folder, *, speed=0.0, states=None):
@@ -49,7 +50,7 @@ def test_a_warning_states_how_far_targets_moved(tmp_path):
 
 def test_a_warning_names_the_positioners_whose_states_changed(tmp_path):
     survey = planned(tmp_path / "survey", states=STATES)
-    # positioner 3 breaks in the night of the plan, at a time that the date does not state
+    # positioners 3 and 4 break on the date of the plan, which does not state the time of the observation
     assert said(survey, "2020-01-10") == []
     (text,) = said(survey, "2020-02-01")
     used = {*survey.tile(11)["positioner"].tolist()}
@@ -68,3 +69,8 @@ def test_surveys_without_times_and_missing_tables_of_states(tmp_path):
     table = living.events(tile=[11], date="2020-02-01", state="done")
     warned("the states of positioners .* were not compared: .*instrument", survey.record, table)
     assert len(survey.events()) == 1
+
+
+def test_tiles_are_not_added_to_a_survey_with_times(tmp_path):
+    survey, added = planned(tmp_path / "survey", speed=1000.0), {"state": "added", "ra": 120.01, "dec": 30.0}
+    refused("without observing conditions and times of tiles", survey.record, living.events(tile=["99"], **added))
