@@ -181,7 +181,7 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
             folder that `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or
             `~rfpsurvey.Instrument.from_pfs` reads.
         time : Time or str, optional
-            Time (UTC) at which the states of positioners are evaluated that a TOML file or a log of DESI contains.
+            Time (UTC) of the states of positioners in a TOML file or a log of DESI, as in `with_states`.
 
         Returns
         -------

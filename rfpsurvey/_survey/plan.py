@@ -82,7 +82,8 @@ def plan_survey(
         The targets. Targets of the kinds ``standard`` and ``sky`` are used only to meet requirements. Each of them can
         be used any number of times, unless its number of visits is 0.
     instrument : Instrument or str
-        Instrument, name of a preset, or path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file. If the states of its positioners change with time
+        (`Instrument.with_states`), each tile uses the states of its time.
     tiles : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or JointOptions or str or callable, optional

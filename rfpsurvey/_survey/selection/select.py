@@ -81,8 +81,8 @@ def selection_probabilities(
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions; by default, the times of the tiles, if the tiling
-        has conditions with times.
+        Epoch to which the targets are moved by their proper motions; by default, the times of the tiles, if they
+        have times, as in `~rfpsurvey.plan_survey`.
     lost_in_collision : bool, optional
         Whether a target counts as not observed if the arm of its positioner collides; other tiles can then observe the
         target.
