@@ -46,7 +46,7 @@ GIVEN = "given in Python"
 LACKING = {"rule": "rule.function", "allocator": "options.allocator", "instrument": "instrument.name"}
 """Keys that have the value ``GIVEN`` if the file cannot contain a parameter, so that no default value replaces it."""
 TILING_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date"}
-TILING_COLUMNS |= {"mjd", "skybrightness", "sky_brightness"}
+TILING_COLUMNS |= {"mjd", "skybrightness", "sky_brightness", "n_failed"}
 """Columns of tables of tiles that surveys use."""
 
 

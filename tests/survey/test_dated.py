@@ -1,6 +1,7 @@
 """Tiles with times: their targets are moved to this time, and positioners have their states of this time."""
 
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 
 import astropy.units as u
 import erfa
@@ -177,6 +178,30 @@ def test_numbers_in_a_column_time_are_not_dates():
     assert rs.Tiling.from_table(table).times is None
 
 
+@pytest.mark.parametrize("ending", ["ecsv", "fits", "csv", "parquet"])
+@pytest.mark.parametrize("column", ["time", "mjd", "date"])
+def test_times_are_read_from_files(tmp_path, column, ending):
+    times, path = random_times(1, 4), tmp_path / f"tiles.{ending}"
+    table = Table(dated(1, times, column).table["tile", "ra", "dec", column], meta={})
+    table["ra"].unit = table["dec"].unit = None
+    table.write(path)
+    read = rs.Tiling.read(path, units={"ra": "deg", "dec": "deg"}).times
+    assert read.mjd == pytest.approx(np.floor(times.mjd) if column == "date" else times.mjd, abs=1e-8)
+
+
+def test_dates_of_observations_are_not_times_of_tiles(tmp_path):
+    """The table of tiles of a survey with recorded events can be the list of tiles of another survey."""
+    catalog, folder = moving_targets(7)[0], tmp_path / "survey"
+    survey = rs.plan_survey(catalog, living.instrument(), living.tiling(7), folder=folder)
+    survey.record(living.events(tile=[11], date="2026-01-03", state="done"))
+    table = rs.Survey.read(folder).replan().tiles
+    assert table["date"].tolist()[:2] == ["2026-01-03", ""]
+    again = rs.plan_survey(catalog, living.instrument(), table, folder=tmp_path / "again")
+    assert "at the epoch of the catalog" in again.summary["epoch"]
+    again.record(living.events(tile=[12], date="2026-01-03", state="done"))
+    assert len(rs.Survey.read(tmp_path / "again").replan()) == 6
+
+
 def test_states_by_date_need_times_of_tiles():
     table = Table({"id": [1], "from": ["2026-02-01"]})
     worn = living.instrument().with_states(table, time=Time(["2026-01-01", "2026-03-01"]))
@@ -207,6 +232,25 @@ def test_positioners_have_the_states_of_the_time_of_each_tile(seed, tmp_path):
         assert all((again.tile(11 + row) == before[row]).all() for row in range(5))
     assert not any({*again.tile(11 + row)["positioner"].tolist()} & unusable(row) for row in range(1, 5))
     assert len(rs.survey.verify_survey(folder)) == 0
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_survey_is_continued_only_with_the_same_times(tmp_path, moves):
+    times, folder = random_times(8, 5), tmp_path / "survey"
+    catalog = moving_targets(8)[0] if moves else living.targets(8)
+    worn = living.instrument().with_states(states_by_date(8, times)[0], time=times)
+    survey = rs.plan_survey(catalog, worn, dated(8, times), folder=folder)
+    before = living.content(folder)
+    (folder / "outcomes.fits").unlink()
+    other = Time([*times[:-1].isot, times[0].isot])
+    refused("tiles differs", rs.plan_survey, catalog, worn, dated(8, other), folder=folder, resume=True)
+    with ThreadPoolExecutor(2) as executor:
+        rs.plan_survey(catalog, worn, dated(8, times), folder=folder, resume=True, executor=executor)
+    assert living.content(folder) == before
+    survey.record(living.events(tile=[11], state="done"))
+    state = survey.state(catalog)
+    options = {"visits": state, "folder": folder, "resume": True}
+    refused("tiles differs", rs.plan_survey, catalog, worn, dated(8, other), **options)
 
 
 @pytest.mark.few(3)

@@ -220,10 +220,10 @@ def times_of_tiles(tiling: "Tiling", *, dates: bool = True) -> Time | None:
 def dates_column(tiling: "Tiling") -> str | None:
     """Return the name of the column with the times of tiles whose observing conditions have no time, or None.
 
-    A column ``time`` with numbers, such as exposure times, is not used.
+    A column ``time`` with numbers, such as exposure times, is not used, nor the dates of observations of a survey.
     """
     lower = {name.lower(): name for name in reversed(tiling.table.colnames)}
-    there = [lower[name] for name in DATES if name in lower]
+    there = [lower[name] for name in DATES[: 2 if "n_failed" in lower else 3] if name in lower]
     numeric = (c for c in there if c.lower() == "time" and np.asarray(tiling.table[c]).dtype.kind in "iuf")
     return next((name for name in there if name not in {*numeric}), None)
 
