@@ -31,7 +31,7 @@ from rfpsurvey._instruments.state_tables import (
     check_overlaps,
     rows_of_states,
 )
-from rfpsurvey.errors import InputError, check_choice
+from rfpsurvey.errors import InputError, check_choice, short
 
 if TYPE_CHECKING:
     from rfpsurvey._instruments.instrument import Instrument
@@ -115,6 +115,11 @@ class States:
         Instrument
             The instrument; the same instrument if its states do not depend on time.
 
+        Raises
+        ------
+        InputError
+            If ``time`` is not one time.
+
         Examples
         --------
         >>> import rfpsurvey as rs
@@ -125,6 +130,8 @@ class States:
         >>> [lamost.at_time(time).facts()["usable_positioners"] for time in ("2026-02-01", "2026-04-01")]
         [4000, 3999]
         """
+        if len(moments_at(time)) != 1:
+            raise InputError(f"time must be one time, got {short(time)}")
         dated = {prefix: entry for prefix in _prefixes(self.values) if (entry := self.values.get(f"{prefix}.rows"))}
         values = {k: entry for k, entry in self.values.items() if k.rpartition(".")[0] not in dated}
         instrument = replace(self, values=values) if dated else self

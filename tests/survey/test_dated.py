@@ -155,8 +155,9 @@ def test_times_have_no_effect_without_proper_motions_and_states(tmp_path):
 WRONG = [
     ("time", ["2026-01-01", "soon"], "time of tile 12 must be a date and time .* got 'soon'"),
     ("date", MaskedColumn(["2026-01-01", ""], mask=[0, 1]), "time of tile 12 must be a date and time .* got ''"),
-    ("mjd", [60000.0, np.nan], "the mjd of each tile must be a modified Julian date, got nan for tile 12"),
-    ("MJD", [60000.0, 2460000.5], "the MJD of each tile must be a modified Julian date, got 2.46e.06 for tile 12"),
+    ("mjd", [60000.0, np.nan], "the mjd of each tile must be a modified Julian date .* got nan for tile 12"),
+    ("MJD", [60000.0, 2460000.5], "the MJD of each tile must be a modified Julian date .* got 2.46e.06 for tile 12"),
+    ("mjd", [60000.0, 0.0], "the mjd of each tile must be a modified Julian date .* got 0 for tile 12; rename"),
     ("mjd", ["a", "b"], "the mjd of tiles must be numbers of days, got"),
     ("mjd", [1, 2] * u.mm, "the mjd of tiles must be numbers of days, got"),
 ]
@@ -207,6 +208,8 @@ def test_states_by_date_need_times_of_tiles():
     worn = living.instrument().with_states(table, time=Time(["2026-01-01", "2026-03-01"]))
     refused("tiles must have times", rs.plan_survey, living.targets(), worn, living.tiling())
     refused("must be those of one time", rs.plan_tile, living.targets(), worn, living.CENTER)
+    refused("time must be one time", worn.at_time, Time(["2026-01-01", "2026-03-01"]))
+    refused("time must be one time", worn.at_time, None)
     assert rs.plan_tile(living.targets(), worn.at_time("2026-03-01"), living.CENTER).table["status"][1] == "disabled"
 
 

@@ -163,7 +163,7 @@ def warn_of_programs(tiling) -> None:
 
 WHEN = ("time", "hour_angle")
 DATES = ("time", "mjd", "date")
-MJD_OF_2000 = 51544.5
+FIRST_MJD, LAST_MJD = 40_000, 100_000  # 1968 to 2132
 # If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
 MARGIN = 1.001
 
@@ -238,9 +238,10 @@ def _dates_of(tiling: "Tiling") -> Time | None:
             days = to_plain(u.Quantity(column, u.day).value if hasattr(column, "to_value") else column).astype(float)
         except (TypeError, ValueError):
             raise InputError(f"the {name} of tiles must be numbers of days, got {short(column)}") from None
-        if len(bad := np.flatnonzero(~(np.abs(days - MJD_OF_2000) < 1e5))):
+        if len(bad := np.flatnonzero(~((days > FIRST_MJD) & (days < LAST_MJD)))):
             raise InputError(
-                f"the {name} of each tile must be a modified Julian date, got {days[bad[0]]:g} for tile {tile[bad[0]]}"
+                f"the {name} of each tile must be a modified Julian date above {FIRST_MJD} and below {LAST_MJD}, got "
+                f"{days[bad[0]]:g} for tile {tile[bad[0]]}; rename the column if it has another meaning"
             )
         return Time(days, format="mjd", scale="utc")
     if np.asarray(column).dtype.kind in "iu":  # such as 20260103
