@@ -44,8 +44,8 @@ def print_model(name: str, allocator: str, summary: Mapping, parameters: Mapping
     print(f"{name}, allocator {allocator}")
     if "model" in summary:  # the value is missing in surveys that earlier versions wrote
         print_text(f"model: {summary['model']}")
-    if summary.get("epoch") and parameters.get("epoch") is None:
-        print_text(f"epoch: {summary['epoch']}")
+    if (text := summary.get("epoch")) and (parameters.get("epoch") is None or "the time" in text):
+        print_text(f"epoch: {text}")
 
 
 @contextmanager

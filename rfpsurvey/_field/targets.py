@@ -77,6 +77,10 @@ class CatalogTargets:
         """Largest proper motion in radians per year."""
         return float(np.nan_to_num(np.hypot(*self._motion.T)).max(initial=0.0))
 
+    def speeds(self, row: np.ndarray) -> np.ndarray:
+        """Return the proper motions of the targets in given rows, in radians per year; 0 if they are unknown."""
+        return np.nan_to_num(np.hypot(*self._motion[row].T))
+
     def _vectors(self, slot: np.ndarray, years: float) -> np.ndarray:
         """Return the directions of targets after a number of years."""
         vectors = self.index.vectors.take(slot, axis=0)  # four times as fast as vectors[slot]

@@ -177,7 +177,8 @@ class AsBuilt:
             most common polygons are the outline of all positioners. The clearance of the arm model ``elbow_to_tip`` is
             the median half width of the polygons of the eccentric arm (``phi``).
         time : Time or str, optional
-            Time at which the state is evaluated, in UTC. By default, the state after the last event is used.
+            Time at which the state is evaluated, in UTC. By default, the state after the last event is used. Several
+            times are accepted as in `Instrument.with_states`; they must be those of one focal plane.
 
         Returns
         -------

@@ -17,10 +17,12 @@ from rfpsurvey._common.read_documents import entries_of, head_of
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import check_unique, to_plain
 from rfpsurvey._instruments.as_built import MOST_ANGLE, entry, impossible_entry, number_rows, numbers, some, whole
-from rfpsurvey._instruments.desi_state import find_conditions, find_latest, moment_of, read_polygons
+from rfpsurvey._instruments.desi_state import find_conditions, find_events, find_latest, moment_of, read_polygons
 from rfpsurvey._instruments.entries import value_of
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.layouts import FULL_OUTLINE, OUTLINE, SEGMENT_CLEARANCE
+from rfpsurvey._instruments.state_tables import ALWAYS, Row
+from rfpsurvey._instruments.states import moments_at, with_rows
 from rfpsurvey.errors import InputError, listed, warn
 
 N_POSITIONERS = 5000
@@ -48,13 +50,21 @@ def recognizes(path: Path) -> bool:
 
 def read(preset, path, *, state=None, exclusions=None, time=None):
     """Return the preset of DESI with the positioners of a file; see `Instrument.from_desi`."""
-    path, moment = to_path(path), None if time is None else moment_of(time, "time")
+    moments = [] if time is None else [moment_of(time, "time")] if np.ndim(time) == 0 else moments_at(time)
+    path, moment = to_path(path), moments[0] if moments else None
     files = entries_of(path) if path.is_dir() else []
     metrologies = [file for file in files if file.name.startswith("fp-metrology.csv")]
     if metrologies and not any(file.name.startswith("desi-focalplane_") for file in files):
         path = metrologies[0]
     if path.is_dir():
-        path, beside = find_latest(path, moment)
+        latest = [find_latest(path, at)[0] for at in moments[1:][-1:]]
+        folder, (path, beside) = path, find_latest(path, moment)
+        if latest not in ([], [path]):
+            raise InputError(
+                f"{folder}: the focal plane must be the same at all times, got {path.name} and {latest[0].name}; plan "
+                "the tiles before and after the change separately, or choose one time with time= or --set "
+                "instrument.state_time=DATE"
+            )
         state, exclusions = state or beside.get("state"), exclusions or beside.get("exclusion")
     table = read_table(path)
     metrology = "X_FP" in table.colnames
@@ -65,7 +75,7 @@ def read(preset, path, *, state=None, exclusions=None, time=None):
         raise InputError(f"time must be None without a state, got {time}")
     if metrology:
         return _from_metrology(preset, table, path)
-    return _from_model(preset, table, path, state and to_path(state), exclusions and to_path(exclusions), moment)
+    return _from_model(preset, table, path, state and to_path(state), exclusions and to_path(exclusions), moments)
 
 
 def _from_metrology(preset, table, path):
@@ -86,13 +96,13 @@ def _from_metrology(preset, table, path):
     return _built(preset, plane, entries, notes)
 
 
-def _from_model(preset, table, path, state, exclusions, moment):
+def _from_model(preset, table, path, state, exclusions, moments):
     table, unused = _positioners(table, MODEL, path)
     ids = whole(table, "LOCATION", path)
     r1, r2 = (numbers(table, name, u.mm, path, LONGEST, low=SHORTEST) for name in ("LENGTH_R1", "LENGTH_R2"))
     angles = {name: numbers(table, name, u.deg, path, MOST_ANGLE, codes=name[:3] == "OFF") for name in ANGLES}
     notes, columns, polygons = [f"The {len(ids)} positioners are taken from {path.name}.{unused}"], {}, None
-    impossible = {}
+    impossible, of_file, moment = {}, dict(angles), moments[0] if moments else None
     if state is None:
         notes.append("No state was given; therefore, all positioners count as working.")
     else:
@@ -141,7 +151,24 @@ def _from_model(preset, table, path, state, exclusions, moment):
         "positioner.theta_range": _entry(_limits(plane.theta_range), state or path, "medians of MIN_T, MAX_T", "deg"),
         "positioner.phi_range": _entry(_limits(plane.phi_range), state or path, "medians of MIN_P, MAX_P", "deg"),
     }
-    return _built(preset, plane, entries, " ".join(notes), dropped=dropped)
+    built = _built(preset, plane, entries, " ".join(notes), dropped=dropped)
+    return built if len(moments) < 2 or state is None else _with_log(built, state, of_file, moments)
+
+
+def _with_log(built, path, angles, moments):
+    """Return the instrument with the events of a log between several moments, before which its state is known."""
+    rows, *columns, limits = find_events(path, built.focal_plane.id, moments[0], moments[-1])
+    of_event = {name: values[list(rows)] for name, values in angles.items()}
+    of_event |= {k: np.where(np.isfinite(limits[k]), limits[k], of_event[k]) for k in of_event if k in limits}
+    ranges = np.column_stack([-of_event[name] for name in ("MAX_T", "MIN_T", "MAX_P", "MIN_P")])
+    names, states = built.focal_plane.id[list(rows)].astype(str).tolist(), []
+    for name, begin, end, is_broken, pose, joints in zip(names, *columns, ranges.tolist(), strict=True):
+        if joints[0] >= joints[1] or joints[2] >= joints[3]:
+            raise InputError(f"{path}: MIN_T and MIN_P must be less than MAX_T and MAX_P, but are not for {name}")
+        angles_of_arm = tuple(pose.tolist()) if np.isfinite(pose).all() else None
+        word = "broken" if is_broken else "restored" if angles_of_arm is None else "stuck"
+        states.append(Row(name, word, begin, end or ALWAYS[1], angles_of_arm, tuple(joints)))
+    return with_rows(built, states, path.name) if states else built
 
 
 def _plane(path, **columns) -> FocalPlane:

@@ -61,11 +61,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     The last value is the number of positioners with impossible values.
     The table is a log of events. The state of a positioner is its state after the last event at or before the time.
     """
-    table = read_table(path)
-    number_rows(table, STATE, path)
-    times = np.char.strip(to_plain(table["TIME"], f"{path}: column 'TIME'").astype(str))
-    location = whole(table, "LOCATION", path)
-    when = {text: moment_of(text, f"{path}: column 'TIME'") for text in np.unique(times).tolist()}
+    table, times, location, when = _read_log(path)
     past = {text for text, date in when.items() if moment is None or date <= moment}
     rows = np.flatnonzero(np.isin(times, list(past)))
     if len(rows) == 0:
@@ -78,29 +74,7 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
     known = row >= 0
     if not known.all():
         warn(f"{path}: {some(ids, ~known)} of the focal plane have no state and count as working")
-    events = table[row[known]]
-    state = np.zeros(len(ids), dtype=np.int64)
-    state[known] = whole(events, "STATE", path)
-    odd = (state & ~(STUCK | BROKEN | RESTRICTED)) != 0
-    if odd.any():
-        warn(f"{path}: {some(ids, odd)} have unknown bits in their STATE and are disabled")
-    fixed = (state & (STUCK | BROKEN)) != 0
-    values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in table.colnames}
-    doubtful = odd | ~known
-    for name, column in values.items():
-        most = MOST_ANGLE if name in LIMITS else np.inf
-        column[known] = numbers(events, name, u.deg, path, most)
-        wrong = is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)
-        doubtful |= wrong & ~np.isnan(column) & (fixed | (name in LIMITS))
-        column[wrong] = np.nan
-    # the focal plane is the mirror image of that in CS5, so that angles have the opposite signs
-    pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
-    pose[~fixed] = np.nan
-    lost = fixed & np.isnan(pose).any(axis=1)
-    pose[lost] = np.nan
-    polygons = np.full(len(ids), "default", dtype=object)
-    if "EXCLUSION" in table.colnames:
-        polygons[known] = np.char.strip(to_plain(events["EXCLUSION"], f"{path}: column 'EXCLUSION'").astype(str))
+    state, odd, lost, doubtful, pose, values, polygons = _parse(table[row[known]], known, ids, path)
     counts = {
         "stuck": (state & STUCK) != 0,
         "with a broken fiber": (state & BROKEN) != 0,
@@ -117,7 +91,64 @@ def find_conditions(path: Path, ids: np.ndarray, moment: datetime | None):
         text += f" The events of {number_of(n_unused, 'other device')} are not used."
     columns = {"disabled": (state & BROKEN).astype(bool) | odd | lost, "stuck": pose * u.deg}
     limits = {name: column for name, column in values.items() if name in LIMITS}
-    return columns, limits, polygons.astype(str), text, np.count_nonzero(doubtful)
+    return columns, limits, polygons, text, np.count_nonzero(doubtful)
+
+
+def find_events(path: Path, ids: np.ndarray, first: datetime, last: datetime) -> tuple:
+    """Return the events after ``first`` and until ``last``, as columns with an element for each event.
+
+    The columns are the row of the positioner, the moments at which its state begins and ends (None: no end), whether it
+    is disabled, its pose (NaN: none) in degrees, and a dict of joint limits (NaN: unknown).
+    """
+    table, times, location, when = _read_log(path)
+    row_of, spans, later = {name: k for k, name in enumerate(ids.tolist())}, [], {}
+    for event in reversed(range(len(table))):  # events that are later in the log replace those before them
+        name, begin = location[event], when[times[event]]
+        end = later.get(name)
+        if name in row_of and first < begin <= last and (end is None or begin < end):
+            spans.append((event, row_of[name], begin, end))
+        later[name] = begin if end is None else min(begin, end)
+    events, rows, begins, ends = zip(*spans, strict=True) if spans else ([],) * 4
+    known = np.ones(len(events), dtype=bool)
+    chosen = table[np.array(events, dtype=int)]
+    state, odd, lost, _, pose, limits, _ = _parse(chosen, known, ids[np.array(rows, dtype=int)], path)
+    return rows, begins, ends, (state & BROKEN).astype(bool) | odd | lost, pose, limits
+
+
+def _read_log(path: Path) -> tuple:
+    """Return the table of a log, the time and location of each event, and a dict of the moment of each time."""
+    table = read_table(path)
+    number_rows(table, STATE, path)
+    times = np.char.strip(to_plain(table["TIME"], f"{path}: column 'TIME'").astype(str))
+    when = {text: moment_of(text, f"{path}: column 'TIME'") for text in np.unique(times).tolist()}
+    return table, times, whole(table, "LOCATION", path), when
+
+
+def _parse(events, known: np.ndarray, ids: np.ndarray, path: Path) -> tuple:
+    """Return the values of events; ``known`` states which of the positioners ``ids`` have an event."""
+    state = np.zeros(len(ids), dtype=np.int64)
+    state[known] = whole(events, "STATE", path)
+    odd = (state & ~(STUCK | BROKEN | RESTRICTED)) != 0
+    if odd.any():
+        warn(f"{path}: {some(ids, odd)} have unknown bits in their STATE and are disabled")
+    fixed = (state & (STUCK | BROKEN)) != 0
+    values = {name: np.full(len(ids), np.nan) for name in (*POSE, *LIMITS) if name in events.colnames}
+    doubtful = odd | ~known
+    for name, column in values.items():
+        most = MOST_ANGLE if name in LIMITS else np.inf
+        column[known] = numbers(events, name, u.deg, path, most)
+        wrong = is_missing(column, -MOST_ANGLE, MOST_ANGLE, codes=name in POSE)
+        doubtful |= wrong & ~np.isnan(column) & (fixed | (name in LIMITS))
+        column[wrong] = np.nan
+    # the focal plane is the mirror image of that in CS5, so that angles have the opposite signs
+    pose = -np.column_stack([values[name] if name in values else np.full(len(ids), np.nan) for name in POSE])
+    pose[~fixed] = np.nan
+    lost = fixed & np.isnan(pose).any(axis=1)
+    pose[lost] = np.nan
+    polygons = np.full(len(ids), "default", dtype=object)
+    if "EXCLUSION" in events.colnames:
+        polygons[known] = np.char.strip(to_plain(events["EXCLUSION"], f"{path}: column 'EXCLUSION'").astype(str))
+    return state, odd, lost, doubtful, pose, values, polygons.astype(str)
 
 
 def read_polygons(path: Path, names: np.ndarray | None, n: int) -> tuple[float, ArmOutline | None, str]:

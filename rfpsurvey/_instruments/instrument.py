@@ -24,7 +24,7 @@ from rfpsurvey._instruments.entries import NEED
 from rfpsurvey._instruments.facts import Written, fact_texts, field_angles, find_facts, read_instrument
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.layouts import UNUSED, ArmModels
-from rfpsurvey._instruments.states import LISTED, States, apply_entry, moments_at
+from rfpsurvey._instruments.states import LISTED, States, apply_entry, at_one_time, moments_at
 from rfpsurvey._sky.radial_map import RadialMap
 from rfpsurvey.errors import (
     InputError,
@@ -181,7 +181,7 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
             folder that `~rfpsurvey.Instrument.from_sdssv`, `~rfpsurvey.Instrument.from_desi` or
             `~rfpsurvey.Instrument.from_pfs` reads.
         time : Time or str, optional
-            Time (UTC) at which the states of positioners are evaluated that a TOML file or a log of DESI contains.
+            Time (UTC) of the states of positioners in a TOML file or a log of DESI, as in `with_states`.
 
         Returns
         -------
@@ -303,27 +303,28 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
             columns += [arrays.joints.theta_zero, arrays.joints.phi_zero, arrays.joints.limits]
         if arrays.fibers is not None:
             columns += [arrays.fibers.length, arrays.fibers.angle]
-        if len(arrays.hidden):
-            columns += [arrays.hidden]
+        columns += [arrays.hidden] if len(arrays.hidden) else []
         columns += arrays.obstacle_polygons
         for column in columns:
             digest.update(np.ascontiguousarray(column).tobytes())
         return digest.hexdigest()[:16]
 
 
-def as_instrument(instrument: Instrument | str, time: Time | str | None = None) -> Instrument:
+def as_instrument(
+    instrument: Instrument | str, time: Time | str | None = None, *, may_be_dated: bool = False
+) -> Instrument:
     """Return the `Instrument` for an instrument, the name of a preset or a path that `Instrument.read` accepts.
 
-    ``time`` is the time at which the states of positioners in a file are evaluated.
+    ``time`` is the time of the states of positioners. They may depend on the tile only if ``may_be_dated`` is true.
     """
     if isinstance(instrument, os.PathLike) or (isinstance(instrument, str) and _is_path(instrument)):
-        return Instrument.read(instrument, time=time)
-    if isinstance(instrument, str):
-        return _shipped_instrument(instrument) if instrument in _shipped() else Instrument.preset(instrument)
-    if not isinstance(instrument, Instrument):
+        instrument = Instrument.read(instrument, time=time)
+    elif isinstance(instrument, str):
+        instrument = _shipped_instrument(instrument) if instrument in _shipped() else Instrument.preset(instrument)
+    elif not isinstance(instrument, Instrument):
         text = "instrument must be an Instrument, the name of a preset or the path of a TOML file"
         raise InputTypeError(f"{text}, got {short(instrument)}")
-    return instrument
+    return instrument if may_be_dated else at_one_time(instrument)
 
 
 @lru_cache(maxsize=4)

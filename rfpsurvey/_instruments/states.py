@@ -3,10 +3,11 @@
 import hashlib
 import os
 import warnings
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import Counter
-from dataclasses import dataclass, replace
-from datetime import UTC, date, datetime
+from dataclasses import replace
+from datetime import datetime
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -16,12 +17,21 @@ import numpy as np
 from astropy.table import Column, Table
 from astropy.time import Time
 
-from rfpsurvey._common.read_tables import is_number, read_table
-from rfpsurvey._common.units import check_columns, to_labels, to_plain
-from rfpsurvey._instruments.as_built import MOST_ANGLE, MOST_DEVICE, N_PETALS, ROW, numbers, whole
+from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._instruments.desi_state import moment_of
 from rfpsurvey._instruments.focal_plane import FocalPlane
-from rfpsurvey.errors import InputError, InputUnitsError, check_choice, close_to, listed, short, warn
+from rfpsurvey._instruments.state_tables import (
+    ALWAYS,
+    COLUMNS,
+    FORM,
+    STATES,
+    UNCHANGED,
+    Row,
+    check_ids,
+    check_overlaps,
+    rows_of_states,
+)
+from rfpsurvey.errors import InputError, check_choice, short
 
 if TYPE_CHECKING:
     from rfpsurvey._instruments.instrument import Instrument
@@ -30,29 +40,7 @@ LISTED = "layout.states"
 """Name of the entry of a description that lists the states of positioners, or names a table of them."""
 SUMMARY = "states"
 """First word of the names of the values that summarize the states of positioners."""
-STATES = ("broken", "stuck", "restored")
-UNCHANGED = "unchanged"
-"""State of rows that change nothing."""
-WORDS = {**{state: state for state in STATES}, "ok": "restored", UNCHANGED: UNCHANGED}
 PARTS = ("file", "time", *STATES, "unused_rows", "digest")
-COLUMNS = ("id", "state", "from", "to", "theta", "phi")
-DESI = ("LOCATION", "BROKEN", "STUCK")
-"""Columns by which the table fiberstatus of DESI's fiberassign is recognized."""
-FIRST_JD, LAST_JD = 2.3e6, 2.6e6
-ALWAYS = datetime.min.replace(tzinfo=UTC), datetime.max.replace(tzinfo=UTC)
-MOST_NAMES = 10
-FORM = "%Y-%m-%dT%H:%M:%S"
-
-
-@dataclass(frozen=True)
-class Row:
-    """One row of a table of states: the state of a positioner from one moment until another."""
-
-    id: str
-    state: str
-    first: datetime
-    end: datetime
-    pose: tuple[float, float] | None  # theta and phi in degrees
 
 
 class States:
@@ -76,7 +64,8 @@ class States:
             ``fiberstatus.ecsv`` of DESI's fiberassign is also accepted (:doc:`/as_built_others`).
         time : Time or str, optional
             Time at which the states are evaluated, in UTC; required if a row has a date. If several times are given,
-            all of them must give the same states.
+            such as ``Tiling.times``, and the states differ between them, the states of the rows apply at the time of
+            each tile of a survey, or at the time that is given to `at_time`.
 
         Returns
         -------
@@ -106,7 +95,51 @@ class States:
             from rfpsurvey._sky.frames import as_table
 
             table, what, name = as_table(states, index_as_id=False)[0], "states", "a table"
-        return _apply(self, _rows(table, self.focal_plane, what), time, what, name)
+        return _apply(self, rows_of_states(table, self.focal_plane, what), time, what, name)
+
+    @cached_property
+    def _at_changes(self) -> dict[int, "Instrument"]:
+        """The instruments that `instruments_at` has made, by the number of changes before them."""
+        return {}
+
+    def at_time(self, time: Time | str) -> "Instrument":
+        """Return the instrument with the states of its positioners at a time.
+
+        Parameters
+        ----------
+        time : Time or str
+            Time at which the states are evaluated, in UTC.
+
+        Returns
+        -------
+        Instrument
+            The instrument; the same instrument if its states do not depend on time.
+
+        Raises
+        ------
+        InputError
+            If ``time`` is not one time.
+
+        Examples
+        --------
+        >>> import rfpsurvey as rs
+        >>> from astropy.table import Table
+        >>> from astropy.time import Time
+        >>> table = Table({"id": [7], "from": ["2026-03-01"]})
+        >>> lamost = rs.Instrument.preset("lamost").with_states(table, time=Time(["2026-02-01", "2026-04-01"]))
+        >>> [lamost.at_time(time).facts()["usable_positioners"] for time in ("2026-02-01", "2026-04-01")]
+        [4000, 3999]
+        """
+        if len(moments_at(time)) != 1:
+            raise InputError(f"time must be one time, got {short(time)}")
+        dated = {prefix: entry for prefix in _prefixes(self.values) if (entry := self.values.get(f"{prefix}.rows"))}
+        values = {k: entry for k, entry in self.values.items() if k.rpartition(".")[0] not in dated}
+        instrument = replace(self, values=values) if dated else self
+        for prefix, entry in dated.items():
+            name, rows = self.values[f"{prefix}.file"]["value"], list(map(Row.from_record, entry["value"]))
+            origin = {part: entry[part] for part in ("status", "source")}
+            instrument = _apply(instrument, rows, time, name, name, origin)
+        return instrument
 
 
 def apply_entry(instrument: "Instrument", folder: Path, time: Time | str | None) -> "Instrument":
@@ -116,13 +149,13 @@ def apply_entry(instrument: "Instrument", folder: Path, time: Time | str | None)
     instrument, origin = replace(instrument, values=values), {part: entry[part] for part in ("status", "source")}
     if isinstance(entry["value"], str):
         path = folder / entry["value"]
-        rows = _rows(read_table(path), instrument.focal_plane, str(path))
+        rows = rows_of_states(read_table(path), instrument.focal_plane, str(path))
         return _apply(instrument, rows, time, str(path), path.name, origin)
     names = dict.fromkeys(name for row in entry["value"] for name in row)
     for name in names:
         check_choice(name, COLUMNS, f"key of {LISTED}")
     table = Table({name: _cells([row.get(name) for row in entry["value"]]) for name in names})
-    rows = _rows(table, instrument.focal_plane, LISTED)
+    rows = rows_of_states(table, instrument.focal_plane, LISTED)
     return _apply(instrument, rows, time, LISTED, "the description", origin)
 
 
@@ -131,6 +164,9 @@ def describe_states(instrument: "Instrument") -> str:
     texts = []
     for prefix in _prefixes(instrument.values):
         known = {part: instrument.values.get(f"{prefix}.{part}", {}).get("value") for part in PARTS}
+        if f"{prefix}.rows" in instrument.values:
+            texts.append(f"States of positioners from {known['file']} at the time of each tile.")
+            continue
         counts = ", ".join(f"{known[state]} {state}" for state in STATES if known[state] or state != "restored")
         at = f" at {known['time']} (UTC)" if known["time"] else ""
         texts.append(f"States of positioners from {known['file']}{at}: {counts}.")
@@ -148,38 +184,59 @@ def _apply(instrument, rows: list[Row], time, what: str, name: str, origin: dict
     """Return the instrument with the states of the rows that apply at a time."""
     plane = instrument.focal_plane
     index = {str(name): k for k, name in enumerate(plane.id.tolist())}
-    _check_ids(rows, index, what, instrument.name)
-    _check_overlaps(rows, what)
-    moments = moments_at(time)
+    check_ids(rows, index, what, instrument.name)
+    check_overlaps(rows, what)
+    moments, origin = moments_at(time), origin or {"status": "assumed", "source": f"with_states, {name}"}
+    if is_dated(instrument) or any(0 < _n_moments(row, moments) < len(moments) for row in rows):
+        return with_rows(instrument, rows, name, origin)
     used = [row for row in rows if _applies(row, moments, what)]
     disabled, stuck = plane.disabled.copy(), plane.arrays.stuck.copy()
+    has_limits = any(row.limits is not None for row in used)
+    ranges = {name: getattr(plane, name).copy() for name in ("theta_range", "phi_range") if has_limits}
     for row in used:
         k = index[row.id]
         disabled[k] = row.state == "broken"
         stuck[k] = np.nan if row.pose is None else np.deg2rad(row.pose)
+        if row.limits is not None:
+            ranges["theta_range"][k], ranges["phi_range"][k] = row.limits[:2] * u.deg, row.limits[2:] * u.deg
     counts = Counter({row.id: row.state for row in used}.values())
     summary = {
         "file": name,
         "time": _time_text(moments) if moments and any((row.first, row.end) != ALWAYS for row in rows) else None,
         **{state: counts[state] for state in STATES},
         "unused_rows": sum(row.state != UNCHANGED for row in rows) - len(used),
-        "digest": hashlib.sha256("\n".join(sorted(map(repr, rows))).encode()).hexdigest()[:16],
+        "digest": _digest(rows),
     }
-    earlier = len(_prefixes(instrument.values))
-    prefix = f"{SUMMARY}_{earlier + 1}" if earlier else SUMMARY
-    origin = origin or {"status": "assumed", "source": f"with_states, {name}"}
-    values = {f"{prefix}.{part}": {"value": value, **origin} for part, value in summary.items() if value is not None}
+    values = _summary(instrument, summary, origin)
     changed = replace(
         instrument,
-        focal_plane=replace(plane, disabled=disabled, stuck=stuck * u.rad),
+        focal_plane=replace(plane, disabled=disabled, stuck=stuck * u.rad, **ranges),
         values={**instrument.values, **values},
     )
     text = describe_states(replace(changed, values=values))
     return replace(changed, notes=f"{instrument.notes.rstrip()} {text}".strip())
 
 
+def with_rows(instrument: "Instrument", rows: list[Row], name: str, origin: dict | None = None) -> "Instrument":
+    """Return the instrument with rows that apply at the time of each tile."""
+    origin = origin or {"status": "published", "source": name}
+    parts = {"file": name, "rows": [row.record for row in rows if row.state != UNCHANGED], "digest": _digest(rows)}
+    return replace(instrument, values={**instrument.values, **_summary(instrument, parts, origin)})
+
+
+def _summary(instrument: "Instrument", parts: dict, origin: dict) -> dict:
+    """Return the values of an instrument that summarize a further table of states."""
+    earlier = len(_prefixes(instrument.values))
+    prefix = f"{SUMMARY}_{earlier + 1}" if earlier else SUMMARY
+    return {f"{prefix}.{part}": {"value": value, **origin} for part, value in parts.items() if value is not None}
+
+
+def _digest(rows: list[Row]) -> str:
+    return hashlib.sha256("\n".join(sorted(map(repr, rows))).encode()).hexdigest()[:16]
+
+
 def _applies(row: Row, moments: list[datetime], what: str) -> bool:
-    """Return whether a row applies at the given moments; raise an error if it applies only at some of them."""
+    """Return whether a row applies at the given moments, between which no state changes."""
     if row.state == UNCHANGED or (row.first, row.end) == ALWAYS:
         return row.state != UNCHANGED
     if not moments:
@@ -187,14 +244,42 @@ def _applies(row: Row, moments: list[datetime], what: str) -> bool:
             f"{what}: the time of the observation must be given, because rows have dates (columns from and to), got no "
             "time; give time= (or --set instrument.state_time=DATE)"
         )
-    n = bisect_left(moments, row.end) - bisect_left(moments, row.first)
-    if 0 < n < len(moments):
-        raise InputError(
-            f"{what}: states must be the same at all times ({_time_text(moments)}), but the state of {row.id} changes; "
-            "plan the tiles before and after the change separately, or choose one time with time= or "
-            "--set instrument.state_time=DATE"
-        )
-    return n > 0
+    return _n_moments(row, moments) > 0
+
+
+def _n_moments(row: Row, moments: list[datetime]) -> int:
+    """Return the number of the given moments at which a row applies; 0 for rows that change nothing."""
+    return 0 if row.state == UNCHANGED else bisect_left(moments, row.end) - bisect_left(moments, row.first)
+
+
+def is_dated(instrument: "Instrument") -> bool:
+    """Return whether the states of positioners depend on the time of each tile."""
+    return any(f"{prefix}.rows" in instrument.values for prefix in _prefixes(instrument.values))
+
+
+def states_of(plane: FocalPlane) -> np.ndarray:
+    """Return a row for each positioner, with numbers that are equal for equal states."""
+    ranges = [limits.to_value(u.rad) for limits in (plane.theta_range, plane.phi_range) if limits is not None]
+    return np.column_stack([plane.disabled, plane.arrays.stuck, *ranges])
+
+
+def at_one_time(instrument: "Instrument") -> "Instrument":
+    """Return the instrument, or raise an error if the states of its positioners depend on the time of each tile."""
+    if is_dated(instrument):
+        text = "the states of positioners must be those of one time, got an instrument whose states change with time"
+        raise InputError(f"{text}; use its method at_time, or give --set instrument.state_time=DATE")
+    return instrument
+
+
+def instruments_at(instrument: "Instrument", times: Time) -> list["Instrument"]:
+    """Return the instrument at each of several times; times between which no state changes share an object."""
+    entries = (instrument.values.get(f"{prefix}.rows", {"value": []}) for prefix in _prefixes(instrument.values))
+    rows = [Row.from_record(record) for entry in entries for record in entry["value"]]
+    changes, known = sorted({moment for row in rows for moment in (row.first, row.end)}), instrument._at_changes
+    numbers = [bisect_right(changes, moment_of(time, "time")) for time in times]
+    for k, time in zip(numbers, times, strict=True):
+        known[k] = known[k] if k in known else instrument.at_time(time)
+    return [known[k] for k in numbers]
 
 
 def moments_at(time: object) -> list[datetime]:
@@ -211,146 +296,6 @@ def moments_at(time: object) -> list[datetime]:
 def _time_text(moments: list[datetime]) -> str:
     texts = [f"{moment:{FORM}}" for moment in (moments[0], moments[-1])]
     return texts[0] if len(moments) == 1 else " to ".join(texts)
-
-
-def _check_ids(rows: list[Row], index: dict[str, int], what: str, instrument: str) -> None:
-    """Raise an error if an identifier is not an identifier of a positioner."""
-    unknown = list(dict.fromkeys(row.id for row in rows if row.id not in index))
-    if unknown:
-        raise InputError(
-            f"{what}: id must be identifiers of positioners of {instrument}, such as {listed(list(index)[:3])}, got "
-            f"{listed(map(repr, unknown), MOST_NAMES)}"
-        )
-
-
-def _check_overlaps(rows: list[Row], what: str) -> None:
-    """Raise an error if rows for the same positioner overlap in time but state different states or poses."""
-    last = {}
-    for row in sorted((row for row in rows if row.state != UNCHANGED), key=lambda row: (row.first, row.end)):
-        before = last.get(row.id)
-        if before is not None and row.first < before.end and (row.state, row.pose) != (before.state, before.pose):
-            raise InputError(
-                f"{what}: rows of a positioner that overlap in time must have the same state and pose, got "
-                f"{before.state} and {row.state} for {row.id}; change the dates in the columns from and to"
-            )
-        if before is None or row.end > before.end:
-            last[row.id] = row
-
-
-def _rows(table: Table, plane: FocalPlane, what: str) -> list[Row]:
-    """Return the rows of a table of states, or raise an error if a value is not valid."""
-    if {*DESI} <= {*table.colnames}:
-        table = _of_desi(table.copy(), plane, what)
-    names = table.colnames
-    check_columns(names, ["id"], f"{what}: the table")
-    for name in names:
-        if name not in COLUMNS and (hint := close_to(name, set(COLUMNS) - set(names), 0.6)):
-            warn(f"{what}: the column {name!r} is not used; {hint}")
-    for name in set(COLUMNS) & set(names):
-        if np.ndim(table[name]) != 1:
-            raise InputError(f"{what}: column {name!r} must have one value per row, got the shape {table[name].shape}")
-    n = len(table)
-    ids = to_labels(table["id"], f"{what}: column 'id'").astype(str).tolist()
-    states = ["broken"] * n
-    if "state" in names:
-        states = to_plain(table["state"], f"{what}: column 'state'").astype(str).tolist()
-        states = [check_choice(word.strip().lower() or "broken", WORDS, f"state in {what}") for word in states]
-    dates = [_dates(table, name, limit, what) for name, limit in zip(("from", "to"), ALWAYS, strict=True)]
-    poses = np.column_stack([_angles(table, name, what) for name in ("theta", "phi")]).tolist()
-    rows = []
-    for key, word, first, end, pose in zip(ids, states, *dates, poses, strict=True):
-        state = WORDS[word]
-        given = [value for value in pose if value == value]
-        if first >= end:
-            raise InputError(f"{what}: to must be later than from, got {first:{FORM}} and {end:{FORM}} for {key}")
-        if len(given) == 1 or (state == "stuck" and not given) or (state == "restored" and given):
-            rule = {"stuck": "both values", "broken": "both values or none", "restored": "no values"}[state]
-            raise InputError(
-                f"{what}: theta and phi must have {rule} for a positioner that is {word}, got {listed(given)} for {key}"
-            )
-        rows.append(Row(key, state, first, end, tuple(given) or None))
-    return rows
-
-
-def _of_desi(table: Table, plane: FocalPlane, what: str) -> Table:
-    """Return a table of states for the table fiberstatus of fiberassign, whose x axis has the opposite direction."""
-    check_columns(table.colnames, [*DESI, "X", "Y"], f"{what}: the table")
-    if plane.id.dtype.kind not in "iu" or ((plane.id // 1000 >= N_PETALS) | (plane.id % 1000 > MOST_DEVICE)).any():
-        raise InputError(
-            f"{what}: the identifiers of positioners must be LOCATIONs of DESI (1000 times the petal plus the device) "
-            f"for a table of fiberassign, got {listed(plane.id[-2:].tolist())}; use DESI as built "
-            "(Instrument.from_desi, or --instrument with the path of a file such as fp-metrology.csv)"
-        )
-    ids, broken, stuck = (whole(table, name, what) for name in DESI)
-    table[ROW], row_of = np.arange(1, len(table) + 1), {str(name): k for k, name in enumerate(plane.id.tolist())}
-    known = np.isin(ids.astype(str), list(row_of))
-    # rows of unknown positioners are refused later
-    poses = np.where((stuck != 0) & ~known, 0.0, np.nan)[:, None].repeat(2, axis=1)
-    fixed = np.flatnonzero((stuck != 0) & known)
-    places = [sign * numbers(table[fixed], name, u.mm, what) for sign, name in ((-1, "X"), (1, "Y"))]
-    for k, place in zip(fixed.tolist(), np.column_stack(places), strict=True):
-        row, xy = row_of[str(ids[k])], np.full((len(plane), 2), np.nan)
-        xy[row] = place
-        poses[k] = [angles[row].to_value(u.deg) for angles in plane.inverse(xy * u.mm)]
-        if np.isnan(poses[k]).any() and not broken[k]:  # a broken positioner needs no pose
-            raise InputError(
-                f"{what}: X and Y of a stuck fiber must be a position in reach of the positioner, got "
-                f"{-place[0]:g} and {place[1]:g} mm for {ids[k]}"
-            )
-    states = np.where(broken != 0, "broken", np.where(stuck != 0, "stuck", UNCHANGED))
-    states_table = Table({"id": ids, "state": states, "theta": poses[:, 0], "phi": poses[:, 1]})
-    for name, column in (("from", "START_DATE"), ("to", "END_DATE")):
-        if column in table.colnames:
-            states_table[name] = table[column]
-    return states_table
-
-
-def _dates(table: Table, name: str, limit: datetime, what: str) -> list[datetime]:
-    """Return the times in a column, or a limit where there is no time."""
-    if name not in table.colnames:
-        return [limit] * len(table)
-    column, what = table[name], f"{what}: column {name!r}"
-    if isinstance(column, Time):
-        values = [None if missing else value for value, missing in zip(column, column.mask, strict=True)]
-    elif column.dtype.kind == "M":
-        values = np.asarray(column).astype("datetime64[us]").tolist()
-    else:
-        values = column.tolist() if column.dtype.kind == "O" else to_plain(column, what).tolist()
-    return [limit if _is_empty(value) else _moment(value, what) for value in values]
-
-
-def _is_empty(value: object) -> bool:
-    return value is None or value is np.ma.masked or value != value or (isinstance(value, str) and not value.strip())
-
-
-def _moment(value: object, what: str) -> datetime:
-    """Return the time of a Time, of a Julian date, or of a date and time as text."""
-    if isinstance(value, str) and is_number(value):
-        value = float(value)
-    if isinstance(value, int | float) and FIRST_JD < value < LAST_JD:
-        value = Time(value, format="jd", scale="utc")
-    elif isinstance(value, date):
-        value = value.isoformat()
-    return moment_of(value.strip() if isinstance(value, str) else value, f"{what} must hold Julian dates, or")
-
-
-def _angles(table: Table, name: str, what: str) -> np.ndarray:
-    """Return the angles in a column in degrees; NaN if there is no such column."""
-    if name not in table.colnames:
-        return np.full(len(table), np.nan)
-    column, what = table[name], f"{what}: column {name!r}"
-    unit = getattr(column, "unit", None) or u.deg
-    if not unit.is_equivalent(u.deg):
-        raise InputUnitsError(f"{what} must have a unit convertible to deg, got {unit}")
-    values = to_plain(column, what)
-    try:
-        values = np.where(values == "", "nan", values) if values.dtype.kind == "U" else values
-        degrees = (values.astype(float) * unit).to_value(u.deg)
-    except ValueError:
-        raise InputError(f"{what} must hold angles in degrees, got {short(values.tolist())}") from None
-    for wrong in degrees[np.abs(degrees) > MOST_ANGLE]:
-        raise InputError(f"{what} must hold angles from {-MOST_ANGLE:g} to {MOST_ANGLE:g} deg, got {wrong:g}")
-    return degrees
 
 
 def _cells(values: list) -> object:

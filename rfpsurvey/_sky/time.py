@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from rfpsurvey._sky.catalog import Catalog
 
 FIRST, LAST = 1700, 2300
+OF_CONDITIONS = "the time of the observing conditions"
 DATED = Time, date, np.datetime64
 
 
@@ -175,7 +176,7 @@ def move_vectors(vectors: np.ndarray, motion: np.ndarray, years: float) -> np.nd
 
 
 def choose_epoch(
-    catalog: "Catalog", epoch: object, times: Time | None, *, whole: bool = True
+    catalog: "Catalog", epoch: object, times: Time | None, *, whole: bool = True, of: str = OF_CONDITIONS
 ) -> tuple[object, str | None]:
     """Return the epoch to which the targets are moved, and a sentence that states their epoch.
 
@@ -186,9 +187,11 @@ def choose_epoch(
     epoch : Time, str, float or None
         Epoch that the user requested.
     times : Time or None
-        Times of the observing conditions, one or several. Without a requested epoch, targets are moved to these times.
+        Times of the observing conditions or of the tiles. Without a requested epoch, targets are moved to these times.
     whole : bool, optional
         Whether the catalog contains all targets; otherwise, the sentence does not state how far targets move.
+    of : str, optional
+        Words for the times.
 
     Returns
     -------
@@ -204,7 +207,7 @@ def choose_epoch(
         return epoch, None
     if epoch is None and times is not None and catalog.epoch is not None:
         times = times.reshape(-1)
-        text = f"the targets are moved to {epoch_text(times)}, the time of the observing conditions"
+        text = f"the targets are moved to {epoch_text(times)}, {of}"
         return times.min() + (times.max() - times.min()) / 2, text
     speed = np.nan_to_num(np.hypot(catalog.coord.icrs.pm_ra_cosdec, catalog.coord.icrs.pm_dec)).to(u.mas / u.yr)
     fastest = np.max(speed, initial=0 * u.mas / u.yr)
@@ -217,9 +220,9 @@ def choose_epoch(
     if times is not None and asked is not None:
         moved = (fastest * np.max(np.abs((times.tdb - asked.tdb).to(u.yr)))).to(u.arcsec)
         distance = f" by up to {moved:.2g}" if whole else ""
-        text += f"; they move{distance} until the time of the observing conditions, {epoch_text(times)}"
+        text += f"; they move{distance} until {of}, {epoch_text(times)}"
     elif times is not None:
-        text += "; without an epoch of the catalog, they cannot be moved to the time of the observing conditions"
+        text += f"; without an epoch of the catalog, they cannot be moved to {of}"
         warn(text)
     return epoch, text
 

@@ -74,7 +74,7 @@ TILES = table_of(
     Column("dec", "declination of the field center (ICRS)", "deg"),
     Column("position_angle", "position angle of the +y axis, from north toward east", "deg"),
     Column("hour_angle", "hour angle of the field center at the midpoint of the exposure", "deg"),
-    Column("time", "midpoint of the exposure (UTC)"),
+    Column("time", "time of the tile (UTC)"),
     Column("round", "round in which the tile is planned; tiles of one round do not share targets"),
     Column("state", "planned, done (observed), partly (partly observed), dropped or past (not observed in time)"),
     Column("date", "date of the last observation"),

@@ -6,7 +6,11 @@ from concurrent.futures import Executor
 from dataclasses import replace
 from pathlib import Path
 
+from astropy.time import Time
+
 from rfpsurvey._common.files import to_path
+from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._instruments.states import instruments_at
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.plan import plan_survey
@@ -65,15 +69,22 @@ def continue_survey(
     return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
 
 
+<<<<<<< HEAD
 def cadences_in(folder: Path) -> Cadences:
     """Return the cadences of the targets of a survey."""
     return Cadences(keys_in(folder, {"allocator", "instrument", "tiles", "visits", "rule"}).cadences)
+=======
+def instruments_in(folder: Path, times: Time) -> list[Instrument]:
+    """Return the instrument of the survey in a folder, with the states of its positioners at each of several times."""
+    keys = keys_in(folder, {"allocator", "tiles", "visits", "rule"})
+    return instruments_at(key_objects.model_of(keys.instrument, lambda: times), times)
+>>>>>>> 476419ac9605bd5194b05019b363681a696a2850
 
 
 def groups_in(folder: Path, column: str) -> dict[str, str]:
     """Return the group of each positioner in a column of the instrument, such as its petal, as text."""
     keys = keys_in(folder, {"allocator", "tiles", "visits", "rule"})
-    plane = key_objects.model_of(keys.instrument).focal_plane
+    plane = key_objects.model_of(keys.instrument, key_objects.any_time).focal_plane
     groups = {name.lower(): numbers for name, numbers in (plane.groups or {}).items()}
     if column.lower() not in groups and (column.lower() != "spectrograph" or len(groups) != 1):
         text = f"a column of spectrographs must be a group of the positioners of the instrument ({listed(groups)})"

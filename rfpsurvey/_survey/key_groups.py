@@ -139,7 +139,7 @@ class StateTimeKeys:
     ----------
     state_time : Moment, optional
         Time (UTC) at which the states of positioners are evaluated, such as 2026-07-01T06:30:00. By default, the time
-        of the observing conditions or, without such a time, the key epoch.
+        of each tile or of the observing conditions or, without such a time, the key epoch.
     """
 
     state_time: Moment = None
@@ -255,7 +255,7 @@ Seed = Annotated[int, "Seed of the random numbers.", Option(low=0)]
 Epoch = Annotated[
     str | float | Time | None,
     "Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the time of the "
-    "observing conditions; without such a time, targets are not moved.",
+    "tile or of the observing conditions; without such a time, targets are not moved.",
 ]
 Center = Annotated[
     str | None,

@@ -13,6 +13,7 @@ from pathlib import Path
 from textwrap import wrap
 
 import astropy.units as u
+from astropy.table import QTable
 from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.rule import Rule
@@ -42,19 +43,25 @@ def model_of(
     """Return the instrument for its keys; ``tell`` is called with a summary of the states of its positioners.
 
     Without ``state_time``, the states in a TOML file and in the table ``broken`` are evaluated at the time that
-    ``known_time`` returns.
+    ``known_time`` returns, and the states in a log of DESI if these are the times of tiles.
     """
     time = asked = None if keys.state_time is None else to_time(keys.state_time, "state_time")
-    described = keys.name.lower().endswith(".toml")
-    if asked is None and known_time is not None and (described or keys.broken is not None):
+    described, has_log = keys.name.lower().endswith(".toml"), any(Path(keys.name).glob("desi-state_*"))
+    if asked is None and known_time is not None and (described or has_log or keys.broken is not None):
         time = known_time()
-    model = as_instrument(keys.name, time if described else asked)
+    of_log = asked if time is None or time.isscalar else time  # a log is evaluated at the times of tiles
+    model = as_instrument(keys.name, time if described else of_log, may_be_dated=True)
     model = model if keys.broken is None else model.with_states(keys.broken, time=time)
     if states := describe_states(model):
         tell(states)
     elif asked is not None:
         warn_no_effect("state_time", "because no states of positioners are given")
     return with_margins(model if keys.arm_model is None else model.with_arm_model(keys.arm_model), keys.margins)
+
+
+def any_time() -> Time:
+    """Return a time for instruments of which only properties are used that do not depend on time."""
+    return Time(2000.0, format="jyear")
 
 
 def conditions_of(given: dict) -> ObservingConditions | None:
@@ -73,7 +80,10 @@ def conditions_of(given: dict) -> ObservingConditions | None:
 
 def tiles_under(tiling: Tiling, given: dict) -> Tiling:
     """Add the observing conditions for their keys, if any are given, to a tiling; return the tiling."""
-    if given and not {"time", "hour_angle"} & set(given) and when_of(tiling.table) is not None:
+    is_open = given and not {"time", "hour_angle"} & set(given)
+    if is_open and when_of(tiling.table) is None and "mjd" in tiling.table.colnames:
+        tiling = Tiling(QTable({**tiling.table, "time": tiling.times.isot}, meta=tiling.table.meta))
+    if is_open and when_of(tiling.table) is not None:
         given = {**given, "hour_angle": 0 * u.hourangle}  # the time or hour angle in the table of tiles replaces it
     conditions = conditions_of(given)
     return tiling if conditions is None else tiling.with_conditions(conditions)

@@ -21,8 +21,13 @@ from rfpsurvey._instruments.instrument import Instrument, as_instrument
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import is_table
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
+<<<<<<< HEAD
 from rfpsurvey._sky.time import choose_epoch
 from rfpsurvey._survey.cadences import Cadences, warn_of_cadences
+=======
+from rfpsurvey._sky.time import OF_CONDITIONS, choose_epoch
+from rfpsurvey._survey.cadences import Cadences
+>>>>>>> 476419ac9605bd5194b05019b363681a696a2850
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
@@ -81,7 +86,8 @@ def plan_survey(
         The targets. Targets of the kinds ``standard`` and ``sky`` are used only to meet requirements. Each of them can
         be used any number of times, unless its number of visits is 0.
     instrument : Instrument or str
-        Instrument, name of a preset, or path of a TOML file.
+        Instrument, name of a preset, or path of a TOML file. If the states of its positioners change with time
+        (`Instrument.with_states`), each tile uses the states of its time.
     tiles : Tiling, Table or SkyCoord
         Tiles or field centers; see `place_tiles` and `Tiling.from_table`.
     allocator : AllocationOptions or JointOptions or str or callable, optional
@@ -102,7 +108,8 @@ def plan_survey(
         Passes of the tiling that are planned, in the given order; by default, all passes in ascending order.
     epoch : Time, str or float, optional
         Epoch to which the targets are moved by their proper motions. By default, the time of each tile, if the tiling
-        has conditions with times; otherwise, the targets are not moved. ``summary["epoch"]`` states the epoch.
+        has times (a column ``time``, ``mjd`` or ``date``, or conditions with times); otherwise, the targets are not
+        moved. ``summary["epoch"]`` states the epoch.
     lost_in_collision : bool, optional
         Whether a target counts as not observed if the arm at this target collides, so that other tiles can observe it.
     order : {"color", "given"}, optional
@@ -229,16 +236,19 @@ def prepare_request(
             f"allocator must be a name, such as the name of an entry point, unless the executor uses threads, got "
             f"{asked.allocator!r}"
         )
-    instrument = as_instrument(instrument)
+    instrument = as_instrument(instrument, may_be_dated=True)
     tiling = as_tiling(tiles)
     warn_of_unused_options([asked], instrument.focal_plane, rng if joint is None else 0)  # a joint search uses rng
     warn_of_programs(tiling)
-    times = times_of_tiles(tiling) if len(tiling) else None
-    if isinstance(catalog, PartitionedCatalog):
-        used, moved = choose_epoch(catalog.parts.part(0), epoch, times, whole=False)
+    is_partitioned = isinstance(catalog, PartitionedCatalog)
+    first = catalog.parts.part(0) if is_partitioned else catalog
+    times, of = times_of_tiles(tiling, dates=False) if len(tiling) else None, OF_CONDITIONS
+    if times is None and len(tiling) and first.has_proper_motion:
+        times, of = times_of_tiles(tiling), "the times of the tiles"
+    used, moved = choose_epoch(first, epoch, times, whole=not is_partitioned, of=of)
+    if is_partitioned:
         source = Partitioned(catalog, used)
     else:
-        used, moved = choose_epoch(catalog, epoch, times)
         source = InMemory(catalog if used is None else catalog.at_epoch(used))
     if cadences is not None and joint is not None:
         check_for_cadences(joint)

@@ -46,7 +46,7 @@ GIVEN = "given in Python"
 LACKING = {"rule": "rule.function", "allocator": "options.allocator", "instrument": "instrument.name"}
 """Keys that have the value ``GIVEN`` if the file cannot contain a parameter, so that no default value replaces it."""
 TILING_COLUMNS = {"tile", "ra", "dec", "position_angle", "pass", "program", "state", "time", "hour_angle", "date"}
-TILING_COLUMNS |= {"mjd", "skybrightness", "sky_brightness"}
+TILING_COLUMNS |= {"mjd", "skybrightness", "sky_brightness", "n_failed"}
 """Columns of tables of tiles that surveys use."""
 
 
@@ -222,14 +222,14 @@ def _model_in(keys: SurveyKeys) -> Instrument | None:
     """Return the instrument that is required to read the catalog of a survey; None if no key describes it."""
     if "instrument" in (keys.python or ()):
         return None
-    return as_instrument(keys.instrument.name) if keys.catalog.path else key_objects.model_of(keys.instrument)
+    return key_objects.model_of(keys.instrument, key_objects.any_time)
 
 
 def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **given: object) -> dict:
     """Return the parameters of `plan_survey` for keys; ``given`` contains parameters in place of those of the keys."""
     tiling = as_tiling(given["tiles"]) if "tiles" in given else read_tiles(keys.tiles, tell=tell)
     if "instrument" in given:
-        model = as_instrument(given["instrument"])
+        model = as_instrument(given["instrument"], may_be_dated=True)
     else:
         time = partial(key_objects.time_of_tiles, tiling, keys.epoch, keys.conditions)
         model = key_objects.model_of(keys.instrument, time, tell=tell)
@@ -260,12 +260,23 @@ def check_inputs(folder: Path, request: dict) -> None:
     check_first_catalog(request, catalog, None if keys.cadences else _requested(keys), rule)
     if tiling is None:
         return
+<<<<<<< HEAD
     tiling = in_passes(key_objects.tiles_under(tiling, keys.conditions), keys.tiles.passes)
     present, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
     if present != recorded:
         raise InputError(
             f"{folder / key_objects.RECORD} must name the tiles of the first plan, {recorded}, got {present}"
         )
+=======
+    tiling = key_objects.tiles_under(tiling, keys.conditions)
+    if keys.tiles.passes is not None:
+        tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
+    recorded, digest_of = request.get("first", request).get("tiles"), partial(tiles_digest, tiling)
+    conditions = conditions_of_tiles(tiling)
+    if recorded != digest_of(conditions) and recorded != digest_of(conditions, dates=True):
+        text = f"must name the tiles of the first plan, {recorded}, got {digest_of(conditions)}"
+        raise InputError(f"{folder / key_objects.RECORD} {text}")
+>>>>>>> 476419ac9605bd5194b05019b363681a696a2850
 
 
 def write_call(request, call: dict, folder: Path, place: Path) -> None:

@@ -19,6 +19,7 @@ from rfpsurvey._common.units import to_dimensionless
 from rfpsurvey._field.facts import versions
 from rfpsurvey._field.targets import FieldBuilder
 from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._instruments.states import instruments_at, is_dated
 from rfpsurvey._kernels import sky as zones
 from rfpsurvey._sky.arrays import SkyIndex, half_chord_squared
 from rfpsurvey._sky.time import epoch_text
@@ -133,9 +134,42 @@ class Request(FieldsOfTiles):
         return brightness_of(self.cadences[0], self.tiling)
 
     @cached_property
-    def model(self) -> Model:
-        """The data that the jobs of all tiles share."""
-        return Model(self.instrument, self.options, self.builder.blank, self.lost_in_collision, self.source.units)
+    def moments(self) -> Time | None:
+        """Time of each tile (UTC); None if neither positions nor states of positioners depend on it."""
+        if self.years is None and not is_dated(self.instrument):
+            return None
+        if (times := times_of_tiles(self.tiling)) is None:
+            raise InputError(
+                "tiles must have times (a column time, mjd or date), because the states of positioners change with "
+                "time, got tiles without times; add times, or choose one time of the states with time= or --set "
+                "instrument.state_time=DATE"
+            )
+        return times.utc
+
+    @cached_property
+    def times(self) -> list[str]:
+        """Time of each tile (UTC) as text; an empty list if the plan does not depend on it."""
+        return [] if self.moments is None else self.moments.isot.tolist()
+
+    @property
+    def uses_dates(self) -> bool:
+        """Whether the plan depends on times of tiles that are not those of the observing conditions."""
+        return self.moments is not None and times_of_tiles(self.tiling, dates=False) is None
+
+    @cached_property
+    def models(self) -> list[Model]:
+        """For each tile, the data that its job shares with those of all tiles with the same states of positioners."""
+        is_same = not is_dated(self.instrument)
+        instruments = [self.instrument] * len(self.tiling) if is_same else instruments_at(self.instrument, self.moments)
+        others = self.options, self.builder.blank, self.lost_in_collision, self.source.units
+        known = {id(instrument): Model(instrument, *others) for instrument in instruments}
+        return [known[id(instrument)] for instrument in instruments]
+
+    @cached_property
+    def n_usable(self) -> np.ndarray:
+        """Number of usable positioners of each tile."""
+        known = {id(model): int(model.instrument.focal_plane.arrays.usable.sum()) for model in self.models}
+        return np.array([known[id(model)] for model in self.models], dtype=np.int64)
 
     def open_state(self) -> Bookkeeping:
         """Return the state of all targets before the first visit."""
@@ -149,7 +183,10 @@ class Request(FieldsOfTiles):
         seed = np.random.SeedSequence(self.seed, spawn_key=(tile,))
         conditions = None if self.conditions is None else self.conditions[tile]
         epoch = self.epoch if self.years is None else f"J{self.reference.jyear + years:.6f}"
-        return Job(self.model, name, *where, field, seed, conditions, epoch)
+        time, speed = (self.times[tile] if self.times else None), None
+        if self.years is not None:
+            speed = self.source.speeds(field.row)
+        return Job(self.models[tile], name, *where, field, seed, conditions, epoch, time, speed)
 
     @cached_property
     def _names(self) -> list:
@@ -163,11 +200,12 @@ class Request(FieldsOfTiles):
     @cached_property
     def parameters(self) -> dict:
         """The parameters of the survey that are recorded in its provenance and in its folder."""
+        epoch = self.epoch if self.years is None else epoch_text(times_of_tiles(self.first[0]))
         return {
             **self.options.record,
             "passes": self.passes,
             "order": self.order,
-            "epoch": self.epoch if self.years is None else epoch_text(times_of_tiles(self.tiling)),
+            "epoch": epoch,
             "rng": self.seed,
             "lost_in_collision": self.lost_in_collision,
             "radius_deg": float(np.rad2deg(self.radius_rad)),
@@ -211,7 +249,7 @@ class Request(FieldsOfTiles):
         about = {name: f"{words}, digest {key}" for name, (words, key) in about.items()}
         if self.state is not None:
             tiling, passes = self.first
-            tiles = tiles_digest(tiling, conditions_of_tiles(tiling))
+            tiles = tiles_digest(tiling, conditions_of_tiles(tiling), dates=self.uses_dates)
             about["first"] = {"passes": passes, "tiles": tiles, "catalog": self.state.digest}
             if self.cadences is not None:
                 n = len(tiling)
@@ -232,7 +270,7 @@ class Request(FieldsOfTiles):
     @property
     def _of_tiles(self) -> dict:
         """The entries of `identity` that can depend on the tiles."""
-        entries = {"tiles": tiles_digest(self.tiling, self.conditions), **self.parameters}
+        entries = {"tiles": tiles_digest(self.tiling, self.conditions, dates=self.uses_dates), **self.parameters}
         if self.cadences is not None:
             entries["dates"] = dates_record(self.days, self.brightness)
         return entries
@@ -261,7 +299,7 @@ class Request(FieldsOfTiles):
         number = _number_of(tiling, passes)
         head, used = Tiling(tiling.table[:n]), [p for k, p in enumerate(passes) if k in number[:n]]
         first = replace(self, tiling=head, number=_number_of(head, used), passes=used, state=None, first=(head, used))
-        if tiles_digest(head, first.conditions) != tiles:
+        if tiles_digest(head, first.conditions, dates=self.uses_dates) != tiles:
             return {}
         those = f"the {number_of(n, 'tile')} of the folder"
         if self.joint is not None and self.state is None:
@@ -296,13 +334,18 @@ def _number_of(tiling: Tiling, passes: list) -> np.ndarray:
     return np.array([passes.index(p) for p in np.asarray(tiling.table["pass"]).tolist()])
 
 
-def tiles_digest(tiling: Tiling, conditions: list | None) -> str:
-    """Return the number of tiles, and a digest of their positions, passes, names and observing conditions."""
+def tiles_digest(tiling: Tiling, conditions: list | None, *, dates: bool = False) -> str:
+    """Return the number of tiles, and a digest of their positions, passes, names and observing conditions.
+
+    With ``dates``, the digest includes the times of the tiles, if they have times.
+    """
     columns = ("ra", "dec", "position_angle", "pass")
     tiles = [np.asarray(tiling.table[name].value, dtype=float) for name in columns]
     names = np.asarray(tiling.table["tile"]).astype(str)
     if conditions is not None:
         tiles.append(np.array([str(tile_conditions.record) for tile_conditions in conditions]))
+    if dates and (times := times_of_tiles(tiling)) is not None:
+        tiles.append(times.mjd)
     return f"{number_of(len(tiling), 'tile')}, digest {digest(*tiles, names)}"
 
 

@@ -46,6 +46,8 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     names = ["tile", "ra", "dec", "position_angle", "pass"]
     when = None if request.conditions is None else when_of(request.tiling.table)
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
+    if request.uses_dates:
+        table["time"] = request.times
     sizes = [len(tiles) for tiles in request.rounds]
     # the argsort of a permutation is its inverse, here from rows to places in the order of planning
     table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
@@ -58,18 +60,17 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     of_state = _state_columns(request)
     for name, values in (of_state | counts).items():
         table[name] = values
-    n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
     if lacking:
         table["unmet"] = texts_of(lacking)
     if any(map(is_unknown, lacking)):
         table["not_checkable"] = texts_of(lacking, unknown=True)
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
-    table["fiber_use"] = counts["n_assigned"] / max(n_usable, 1)
+    table["fiber_use"] = counts["n_assigned"] / np.maximum(request.n_usable, 1)
     centers, near = request.tiling.vectors, request.source.sum_near
     wanted, done = (near(centers, request.radius_rad, visits) for visits in (state.wanted, state.counted()))
     table["completeness"] = done / np.where(wanted > 0, wanted, np.nan)
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
-    summary = _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state)
+    summary = _summary(request, state, counts, outcome_counts, lacking, of_state)
     table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, TILES)
 
@@ -88,7 +89,7 @@ def _state_columns(request) -> dict[str, np.ndarray]:
     return {"state": names, "date": dates, "n_failed": failed}
 
 
-def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state) -> dict:
+def _summary(request, state, counts, outcome_counts, lacking, of_state) -> dict:
     tally = state.tallies["priority"]
     wanted, observed = int(tally.n_requested.sum()), int(tally.n_observed.sum())
     is_required, plane = request.builder.is_required, request.instrument.focal_plane
@@ -108,9 +109,9 @@ def _summary(request, state, counts, outcome_counts, n_usable, lacking, of_state
         "completeness": observed / max(wanted, 1),
         "completeness_targets": complete / max(targets, 1),
         "outcomes": {name: int(n) for name, n in zip(OUTCOMES, outcome_counts, strict=True) if n},
-        "n_fibers": n_usable * len(request.tiling),
+        "n_fibers": int(request.n_usable.sum()),
         **{name: total[name] for name in ("n_assigned", "n_science", "n_standard", "n_sky")},
-        "fiber_use": total["n_assigned"] / max(n_usable * len(request.tiling), 1),
+        "fiber_use": total["n_assigned"] / max(int(request.n_usable.sum()), 1),
         **{name: total[name] for name in ("n_colliding", "n_colliding_assigned", "n_colliding_pairs")},
         "arm_model": plane.positioner.arm_model,
         **({"margins": str(plane.margins)} if plane.margins else {}),

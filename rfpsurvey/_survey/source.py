@@ -100,6 +100,13 @@ class Partitioned:
         """Largest proper motion in radians per year."""
         return max(self._part(k).fastest_rad for k in range(len(self._parts.files)))
 
+    def speeds(self, row: np.ndarray) -> np.ndarray:
+        """Return the proper motions of the targets in given rows, in radians per year; 0 if they are unknown."""
+        part_of, speed = np.searchsorted(self._first, row, side="right") - 1, np.zeros(len(row))
+        for k in np.unique(part_of).tolist():
+            speed[part_of == k] = self._part(k).speeds(row[part_of == k] - self._first[k])
+        return speed
+
     def field(
         self, center: np.ndarray, radius_rad: float, left: np.ndarray, *, always: np.ndarray | None = None, **more
     ) -> FieldRows:

@@ -12,6 +12,7 @@ from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import NamedTuple
 
+import astropy.units as u
 import numpy as np
 
 from rfpsurvey._assignment.constraints.motion import PATHS
@@ -42,6 +43,8 @@ from rfpsurvey.errors import listed, number_of
 
 SEEN, REACHED, LOST_IN_COLLISION, DONE, EXCLUDED = 1, 2, 4, 8, 16
 """Flags that record in which fields and in reach of which positioners a target of a survey was."""
+TIME, FASTEST = "TILETIME", "FASTEST"
+"""Header cards of the time of a tile, and of the largest proper motion of its planned targets (mas/yr)."""
 VISITS_COLUMNS = table_of(
     TARGET_ID,
     Column("target_row", "row in the catalog, -1 for blank sky"),
@@ -98,6 +101,10 @@ class Job(NamedTuple):
     conditions: ObservingConditions | None = None
     epoch: str | None = None
     """Epoch of the positions of the targets; None if the targets were not moved."""
+    time: str | None = None
+    """Time of the tile (UTC); None if neither positions nor states of positioners depend on it."""
+    speed: np.ndarray | None = None
+    """Proper motions of the targets in radians per year; None if they are not moved to the time of the tile."""
     as_file: bool = False
     """Whether the visits are returned as the content of a FITS file instead of an array."""
     path: Path | None = None
@@ -177,6 +184,11 @@ def work(job: Job) -> Done:
     cards |= {"RA": job.ra_deg, "DEC": job.dec_deg, "POSANG": job.position_angle_deg}
     if job.epoch is not None:
         cards["REFEPOCH"] = (job.epoch, "epoch of the target positions")
+    if job.time is not None:
+        cards[TIME] = (job.time, "time of the tile (UTC)")
+    if job.speed is not None:
+        fastest = float(job.speed[plan.target[plan.target >= 0]].max(initial=0.0)) * (u.rad / u.yr).to(u.mas / u.yr)
+        cards[FASTEST] = (fastest, "largest proper motion of a target (mas/yr)")
     cards.update(
         (card, (counts[name], words)) for card, (name, words) in cards_of(model.options).items() if name in counts
     )

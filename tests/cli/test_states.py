@@ -1,8 +1,10 @@
 """The keys of states, arm models and margins of positioners, and instruments with states in TOML files."""
 
 import astropy.units as u
+import desi_files
 import pytest
 from astropy.table import QTable
+from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey._cli.application import COMMANDS
@@ -114,17 +116,63 @@ def test_a_scored_tile_has_the_time_of_its_conditions(call, broken, tmp_path):
     assert out.startswith(f"{PRINTED} at 2026-02-01T04:00:00 (UTC): 1 broken, 1 stuck.\n")
 
 
-def test_the_states_of_a_survey_must_be_the_same_at_all_times(call, refused, broken, tiles):
+def test_each_tile_of_a_survey_has_the_states_of_its_time(call, refused, broken, tiles, tmp_path):
     words = f"survey {APO} {BROKEN} --tiles {{}}"
     site = f"{words} --set 'conditions.site=apache point'"
     text = call(site, broken, tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00")).text
     assert text.startswith(f"{PRINTED} at 2026-01-15T06:00:00 to 2026-02-15T04:00:00 (UTC): 1 broken, 1 stuck.")
     path = tiles("2026-01-15T06:00:00", "2026-03-03T03:00:00")
-    text = refused(site, broken, path)
-    assert "(2026-01-15T06:00:00 to 2026-03-03T03:00:00), but the state of R0C2 changes" in text
+    for number, start in enumerate((site, words)):  # with and without conditions
+        folder = tmp_path / f"plan{number}"
+        out = call(f"{start} --folder {{}}", broken, path, folder).out
+        assert out.startswith(f"{PRINTED} at the time of each tile.")
+        survey = rs.Survey.read(folder)
+        assert survey.summary["n_fibers"] == 498 + 499
+        assert not {"R+3C5", "R0C2"} & {*survey.tile(0)["positioner"].tolist()}
     assert "1 broken, 0 stuck" in call(f"{site} {TIME}2026-03-01", broken, path).out
-    # without conditions, times are not used
-    assert "--set instrument.state_time=DATE" in refused(words, broken, path)
+
+
+def test_conditions_are_computed_at_the_dates_of_tiles(call, tiles, tmp_path):
+    path = tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00")
+    table = QTable.read(path)
+    table["mjd"] = Time(table["time"].tolist()).mjd
+    for name, other in (("time", "mjd"), ("mjd", "time")):
+        table.copy()[[c for c in table.colnames if c != other]].write(path, overwrite=True)
+        call(f"survey {APO} --set 'conditions.site=apache point' --tiles {{}} --folder {{}}", path, tmp_path / name)
+    both = [rs.Survey.read(tmp_path / name) for name in ("time", "mjd")]
+    assert both[0].tiles["time"].tolist() == both[1].tiles["time"].tolist()
+    assert all((both[0].tile(tile) == both[1].tile(tile)).all() for tile in (0, 1))
+
+
+@pytest.mark.filterwarnings("ignore:.*DESI has 5000 positioners")
+def test_the_log_of_desi_is_evaluated_at_the_times_of_tiles(call, refused, tiles, tmp_path):
+    folder = tmp_path / "desi"
+    folder.mkdir()
+    plane = desi_files.focal_plane(folder / "desi-focalplane_2019-01-01T00:00:00.ecsv", per_petal=40)
+    ids = plane["LOCATION"][:-1].tolist()
+    events = [
+        {"TIME": "2026-02-01T00:00:00", "LOCATION": k, "STATE": 4, "POS_T": 1.0, "POS_P": 90.0} for k in ids[:300]
+    ]
+    desi_files.state(folder / "desi-state_2019-01-01T00:00:00.ecsv", plane, events)
+    path = tiles("2026-01-15T06:00:00", "2026-02-15T04:00:00")
+    words = "survey --instrument {} --tiles {} --folder {}"
+    out = call(words, folder, path, tmp_path / "plan").out
+    assert out.startswith("States of positioners from desi-state_2019-01-01T00:00:00.ecsv at the time of each tile.")
+    survey = rs.Survey.read(tmp_path / "plan")
+    assert survey.summary["n_fibers"] == 400 + 100
+    assert not {*survey.tile(1)["positioner"].tolist()} & {*ids[:300]}
+    assert {*survey.tile(0)["positioner"].tolist()} & {*ids[:300]}
+    night = tmp_path / "night.csv"
+    night.write_text("tile,date,state\n0,2026-02-10,done\n")
+    err = call("record {} {} --allow-future", tmp_path / "plan", night).err
+    assert "(300 positioners, " in err
+    call("survey {} --replan", tmp_path / "plan")
+    assert rs.Survey.read(tmp_path / "plan").summary["n_fibers"] == 400 + 100
+    with_time = call(f"{words} {TIME}2026-02-15", folder, path, tmp_path / "late").out
+    assert not with_time.startswith("States")
+    assert rs.Survey.read(tmp_path / "late").summary["n_fibers"] == 100 + 100
+    early = tiles("2018-01-15T06:00:00", "2026-02-15T04:00:00")
+    assert "time must not be before the first focal plane" in refused(words, folder, early, tmp_path / "early")
 
 
 def test_a_survey_is_not_resumed_with_other_states(call, refused, broken, always, tmp_path):

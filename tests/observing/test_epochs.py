@@ -129,7 +129,7 @@ def test_joint_plans_and_probabilities_move_targets_to_the_times_of_the_tiles(ta
         check_places(visits, visits["target_id"], places(table, time))
     found = rs.selection_probabilities(catalog, small, tiling, n_realizations=4)
     assert "J2024.887 to J2026.137" in found.summary["epoch"]
-    still = rs.plan_survey(catalog, small, tiling.with_conditions(None))
+    still = rs.plan_survey(catalog, small, tiling.coord)
     assert "although they have proper motions of up to 2000 mas / yr" in still.summary["epoch"]
 
 

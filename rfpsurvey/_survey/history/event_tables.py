@@ -296,7 +296,8 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
     check_fits_text({"names of added tiles": [name]}, "omit these tiles")
     row, when = history.row_of.get(name), when_of(history.survey.tiles)
     if row is None and when is not None:
-        raise InputError(f"tiles must be added only to a survey without observing conditions, got one with {when}")
+        text = "tiles must be added only to a survey without observing conditions and times of tiles"
+        raise InputError(f"{text}, got one with {when}")
     place = [] if row is None else history.place(row).tolist()
     for k, role in enumerate(("ra", "dec", "position_angle", "pass")):
         if role in roles:

@@ -24,6 +24,7 @@ from rfpsurvey._sky.frames import as_table
 from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.folder import TABLES, clock, read_request
 from rfpsurvey._survey.generations import EVENTS, read_generations, replace_plan
+from rfpsurvey._survey.history.dates import warn_of_dates
 from rfpsurvey._survey.history.event_files import History, append_events, copied_bodies, read_events, write_copy
 from rfpsurvey._survey.history.event_tables import check_others, columns_of_catalog, renamed, roles_of, tile_events
 from rfpsurvey._survey.history.events import (
@@ -80,12 +81,18 @@ def record(
     allow_future: bool,
     dry_run: bool,
     groups: Callable[[str], dict[str, str]],
+<<<<<<< HEAD
     cadences: Callable[[], Cadences],
 ) -> dict:
     """Append events to the folder of a survey; see `Survey.record`, and `History` for ``groups``.
 
     ``cadences`` returns the cadences of the survey, if it has any.
     """
+=======
+    instruments_for: Callable[[Time], list],
+) -> dict:
+    """Append events to the folder of a survey; see `Survey.record`, `History` and `warn_of_dates`."""
+>>>>>>> 476419ac9605bd5194b05019b363681a696a2850
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
     for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
@@ -139,6 +146,7 @@ def record(
         dates = [event.date for event in tiles] if changes is None else changes["date"].tolist()
         if not allow_future:
             check_not_future(dates)
+        warn_of_dates(tiles, events, instruments_for)
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
             append_events(history, tiles, changes, table, told)

@@ -256,7 +256,7 @@ def fixed_tiles(request) -> dict[int, TilePlan]:
         if len(blank):
             types = np.asarray(blank["fiber_type"]).astype(str) if "fiber_type" in blank.colnames else None
             vectors = to_vectors(SkyCoord(blank["ra"], blank["dec"]))
-            places = project_field(request.instrument, projection_of(job), vectors, types)[0]
+            places = project_field(job.model.instrument, projection_of(job), vectors, types)[0]
             blank_mm[_rows_of(plane, blank["positioner"])] = places
         plans[tile] = plan._replace(blank_mm=blank_mm)
     return plans

@@ -229,7 +229,7 @@ def _with_allocator(request, job: Job, allocator: Callable) -> Job:
     options = replace(request.options, allocator=allocator, subpriority=None)
     targets = job.field.targets
     targets = targets._replace(columns=targets.columns._replace(subpriority=None))
-    return job._replace(model=replace(request.model, options=options), field=job.field._replace(targets=targets))
+    return job._replace(model=replace(job.model, options=options), field=job.field._replace(targets=targets))
 
 
 def _rows(slots: np.ndarray, wanted: np.ndarray) -> np.ndarray:

@@ -67,8 +67,8 @@ def potential_assignments(
     passes : list of int, optional
         Passes of the tiling to use; by default all passes.
     epoch : Time, str or float, optional
-        Epoch to which the points are moved by their proper motions; by default, the times of the tiles, if the tiling
-        has conditions with times.
+        Epoch to which the points are moved by their proper motions; by default, the times of the tiles, if they
+        have times, as in `~rfpsurvey.plan_survey`.
     survey : Survey, optional
         A survey planned with these tiles. In each tile, positioners whose target is lost to a collision reach no point.
     executor : concurrent.futures.Executor, optional

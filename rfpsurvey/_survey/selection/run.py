@@ -221,10 +221,10 @@ def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
     """Return a table with a row for each realization, and with the provenance in its meta."""
     columns = [np.arange(len(seeds)), np.array(seeds, dtype=np.int64), *counts.T]
     table = QTable(columns, names=[*REALIZATIONS])
-    n_usable = int(request.instrument.focal_plane.arrays.usable.sum())
+    n_fibers = int(np.delete(request.n_usable, request.dropped).sum())
     n_tiles = len(request.tiling) - len(request.dropped)
     summary = {"n_realizations": len(seeds), "n_tiles": n_tiles, "n_rounds": len(request.rounds)}
-    summary |= {"n_fibers": n_usable * n_tiles, **({} if request.moved is None else {"epoch": request.moved})}
+    summary |= {"n_fibers": n_fibers, **({} if request.moved is None else {"epoch": request.moved})}
     projection = "radial" if request.conditions is None else "full"
     summary["model"] = model_sentence(request.instrument, projection=projection)
     table.meta = {"summary": summary, "provenance": request.provenance}

@@ -81,8 +81,8 @@ def selection_probabilities(
     passes : list of int, optional
         Passes of the tiling to plan, in this order; by default all passes in ascending order.
     epoch : Time, str or float, optional
-        Epoch to which the targets are moved by their proper motions; by default, the times of the tiles, if the tiling
-        has conditions with times.
+        Epoch to which the targets are moved by their proper motions; by default, the times of the tiles, if they
+        have times, as in `~rfpsurvey.plan_survey`.
     lost_in_collision : bool, optional
         Whether a target counts as not observed if the arm of its positioner collides; other tiles can then observe the
         target.
@@ -152,7 +152,8 @@ def selection_probabilities(
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
     check_without_cadences(catalog if is_state else survey)
     if survey is not None:
-        tiles = survey.tiles["tile", "ra", "dec", "position_angle", "pass"]
+        names = ("tile", "ra", "dec", "position_angle", "pass", *["time"] * ("time" in survey.tiles.colnames))
+        tiles = survey.tiles[names]
     check_whole(n_realizations, "n_realizations", 1, MOST)
     if check_switch(resume, "resume") and folder is None:
         raise InputError(

@@ -22,7 +22,7 @@ from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.conditions import ObservingConditions, as_hour_angle
 from rfpsurvey._sky.survey_formats import check_mode
 from rfpsurvey._sky.time import to_moment
-from rfpsurvey.errors import InputError, check_choice, listed, number_of, refusal, warn
+from rfpsurvey.errors import InputError, check_choice, listed, number_of, refusal, short, warn
 
 if TYPE_CHECKING:
     from rfpsurvey._survey.tiling.tiling import Tiling
@@ -162,6 +162,8 @@ def warn_of_programs(tiling) -> None:
 
 
 WHEN = ("time", "hour_angle")
+DATES = ("time", "mjd", "date")
+FIRST_MJD, LAST_MJD = 40_000, 100_000  # 1968 to 2132
 # If the tiles have observing conditions, aberration and dispersion change the radius by less than this factor.
 MARGIN = 1.001
 
@@ -200,15 +202,51 @@ def places_of_tiles(tiling: "Tiling") -> np.ndarray:
     return np.column_stack([tiling.table[name].to_value(u.deg).astype(float) for name in names])
 
 
-def times_of_tiles(tiling: "Tiling") -> Time | None:
-    """Return the time of each tile; None if the tiling has no conditions, or conditions with hour angles."""
+def times_of_tiles(tiling: "Tiling", *, dates: bool = True) -> Time | None:
+    """Return the time of each tile; None if no time is known.
+
+    The time is that of the observing conditions. If these have no time, and ``dates`` is true, it is the time in the
+    column ``time``, ``mjd`` or ``date``.
+    """
     common = tiling.conditions
     name = None if common is None else when_of(tiling.table)
     if name == "time":
         return _read_times(tiling)
-    if common is None or common.time is None or name is not None:
+    if common is not None and common.time is not None and name is None:
+        return common.time + np.zeros(len(tiling)) * u.s
+    return _dates_of(tiling) if dates else None
+
+
+def dates_column(tiling: "Tiling") -> str | None:
+    """Return the name of the column with the times of tiles whose observing conditions have no time, or None.
+
+    A column ``time`` with numbers, such as exposure times, is not used, nor the dates of observations of a survey.
+    """
+    lower = {name.lower(): name for name in reversed(tiling.table.colnames)}
+    there = [lower[name] for name in DATES[: 2 if "n_failed" in lower else 3] if name in lower]
+    numeric = (c for c in there if c.lower() == "time" and np.asarray(tiling.table[c]).dtype.kind in "iuf")
+    return next((name for name in there if name not in {*numeric}), None)
+
+
+def _dates_of(tiling: "Tiling") -> Time | None:
+    """Return the times in the column that `dates_column` names; None if there is no such column."""
+    if (name := dates_column(tiling)) is None:
         return None
-    return common.time + np.zeros(len(tiling)) * u.s
+    column, tile = tiling.table[name], tiling.table["tile"]
+    if name.lower() == "mjd":
+        try:
+            days = to_plain(u.Quantity(column, u.day).value if hasattr(column, "to_value") else column).astype(float)
+        except (TypeError, ValueError):
+            raise InputError(f"the {name} of tiles must be numbers of days, got {short(column)}") from None
+        if len(bad := np.flatnonzero(~((days > FIRST_MJD) & (days < LAST_MJD)))):
+            raise InputError(
+                f"the {name} of each tile must be a modified Julian date above {FIRST_MJD} and below {LAST_MJD}, got "
+                f"{days[bad[0]]:g} for tile {tile[bad[0]]}; rename the column if it has another meaning"
+            )
+        return Time(days, format="mjd", scale="utc")
+    if np.asarray(column).dtype.kind in "iu":  # such as 20260103
+        column = np.array([f"{text[:4]}-{text[4:6]}-{text[6:]}" for text in np.asarray(column).astype(str).tolist()])
+    return Time(_times(column, tile), scale="utc")
 
 
 class FieldsOfTiles:

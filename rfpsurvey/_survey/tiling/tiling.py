@@ -8,6 +8,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from astropy.time import Time
 
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
@@ -25,6 +26,7 @@ from rfpsurvey._survey.tiling.columns import (
     is_of_pfs,
     pfs_angle,
     read_angles,
+    times_of_tiles,
     without_others,
 )
 from rfpsurvey.errors import InputError, InputTypeError, number_of
@@ -114,6 +116,11 @@ class Tiling:
         """Observing conditions of the tiles; None if refraction is neglected."""
         record = self.table.meta.get("conditions")
         return None if record is None else ObservingConditions.from_record(record)
+
+    @property
+    def times(self) -> Time | None:
+        """Time of each tile, from its conditions or its column ``time``, ``mjd`` or ``date``; None without times."""
+        return times_of_tiles(self)
 
     def with_conditions(self, conditions: ObservingConditions | None) -> "Tiling":
         """Return a copy of the tiling with observing conditions, which `plan_survey` takes into account.

@@ -198,7 +198,7 @@ def test_tiles_are_not_added_without_their_observing_conditions(case, tmp_path):
     site = rs.ObservingConditions("paranal", hour_angle=0 * u.deg)
     tiles = rs.Tiling.from_table(table).with_conditions(site)
     survey = rs.plan_survey(*case[:2], tiles, folder=tmp_path / "survey", allocator="nearest")
-    refuse(survey, added(ra=120, dec=30), "tiles must be added only to a survey without observing conditions, got one")
+    refuse(survey, added(ra=120, dec=30), "tiles must be added only to a survey without observing conditions and times")
     assert survey.record(added(12, ra=120, dec=30))["n_events"] == 1
 
 
