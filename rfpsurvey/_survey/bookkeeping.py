@@ -74,7 +74,7 @@ class Bookkeeping:
         builder, n_passes, self._number, self.windows = request.builder, len(request.passes), request.number, None
         if request.cadences is not None:
             cadences, row = request.cadences
-            self.windows = Windows(cadences, request.source.to_slots(row), request.times, request.brightness)
+            self.windows = Windows(cadences, request.source.to_slots(row), request.visit_days, request.brightness)
             if request.state is not None:
                 self.windows.begin_as(request.state.windows, request.source.to_slots)
         self._builder, self.wanted, self.left = builder, builder.wanted, builder.left.copy()

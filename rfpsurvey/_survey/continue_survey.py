@@ -69,16 +69,15 @@ def continue_survey(
     return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
 
 
-<<<<<<< HEAD
 def cadences_in(folder: Path) -> Cadences:
     """Return the cadences of the targets of a survey."""
     return Cadences(keys_in(folder, {"allocator", "instrument", "tiles", "visits", "rule"}).cadences)
-=======
+
+
 def instruments_in(folder: Path, times: Time) -> list[Instrument]:
     """Return the instrument of the survey in a folder, with the states of its positioners at each of several times."""
     keys = keys_in(folder, {"allocator", "tiles", "visits", "rule"})
     return instruments_at(key_objects.model_of(keys.instrument, lambda: times), times)
->>>>>>> 476419ac9605bd5194b05019b363681a696a2850
 
 
 def groups_in(folder: Path, column: str) -> dict[str, str]:

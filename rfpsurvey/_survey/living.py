@@ -71,16 +71,7 @@ class Living:
         ------
         InputError
             If a tile, positioner or target is unknown, if the plan with which a tile was observed is not clear, if a
-<<<<<<< HEAD
             value is not valid, or if another run uses the folder. Nothing is written then.
-        """
-        from rfpsurvey._survey.continue_survey import cadences_in, groups_in
-        from rfpsurvey._survey.history.record import record
-
-        options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
-        options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
-=======
-            value is not valid, if the survey has cadences, or if another run uses the folder. Nothing is written then.
 
         Warns
         -----
@@ -88,12 +79,12 @@ class Living:
             If a tile with a time was observed on another date, and a planned target moved by more than 0.1 arcsec, or
             the state of a positioner changed, between this time and the night of the observation.
         """
-        from rfpsurvey._survey.continue_survey import groups_in, instruments_in
+        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in
         from rfpsurvey._survey.history.record import record
 
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
-        options |= {"groups": partial(groups_in, self.folder), "instruments_for": partial(instruments_in, self.folder)}
->>>>>>> 476419ac9605bd5194b05019b363681a696a2850
+        options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
+        options["instruments_for"] = partial(instruments_in, self.folder)
         return record(self, table, enough=enough, tile=tile, columns=columns, **options)
 
     def undo(self, number: int, *, note: str = "", dry_run: bool = False) -> dict:

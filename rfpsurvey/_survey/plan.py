@@ -21,13 +21,8 @@ from rfpsurvey._instruments.instrument import Instrument, as_instrument
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.frames import is_table
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
-<<<<<<< HEAD
-from rfpsurvey._sky.time import choose_epoch
-from rfpsurvey._survey.cadences import Cadences, warn_of_cadences
-=======
 from rfpsurvey._sky.time import OF_CONDITIONS, choose_epoch
-from rfpsurvey._survey.cadences import Cadences
->>>>>>> 476419ac9605bd5194b05019b363681a696a2850
+from rfpsurvey._survey.cadences import Cadences, warn_of_cadences
 from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState

@@ -260,23 +260,12 @@ def check_inputs(folder: Path, request: dict) -> None:
     check_first_catalog(request, catalog, None if keys.cadences else _requested(keys), rule)
     if tiling is None:
         return
-<<<<<<< HEAD
     tiling = in_passes(key_objects.tiles_under(tiling, keys.conditions), keys.tiles.passes)
-    present, recorded = tiles_digest(tiling, conditions_of_tiles(tiling)), request.get("first", request).get("tiles")
-    if present != recorded:
-        raise InputError(
-            f"{folder / key_objects.RECORD} must name the tiles of the first plan, {recorded}, got {present}"
-        )
-=======
-    tiling = key_objects.tiles_under(tiling, keys.conditions)
-    if keys.tiles.passes is not None:
-        tiling = Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
     recorded, digest_of = request.get("first", request).get("tiles"), partial(tiles_digest, tiling)
     conditions = conditions_of_tiles(tiling)
     if recorded != digest_of(conditions) and recorded != digest_of(conditions, dates=True):
         text = f"must name the tiles of the first plan, {recorded}, got {digest_of(conditions)}"
         raise InputError(f"{folder / key_objects.RECORD} {text}")
->>>>>>> 476419ac9605bd5194b05019b363681a696a2850
 
 
 def write_call(request, call: dict, folder: Path, place: Path) -> None:

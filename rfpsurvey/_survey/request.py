@@ -110,7 +110,7 @@ class Request(FieldsOfTiles):
         reach = 2 * (self.radius_rad + self.margin_rad) * (1 + 1e-9)
         if self.cadences is None:
             return make_rounds(self.tiling.vectors, reach, self.number, self.order)
-        in_time = np.argsort(self.times, kind="stable")
+        in_time = np.argsort(self.visit_days, kind="stable")
         return [in_time[rows] for rows in make_rounds(self.tiling.vectors[in_time], reach, self.number, "given")]
 
     @property
@@ -124,7 +124,7 @@ class Request(FieldsOfTiles):
         return days_of(self.tiling)
 
     @cached_property
-    def times(self) -> np.ndarray:
+    def visit_days(self) -> np.ndarray:
         """Time of each tile (MJD), for cadences; observed tiles have the times of their observations."""
         return self.days if self.state is None else times_of(self.tiling, self.state.states)[0]
 

@@ -81,18 +81,13 @@ def record(
     allow_future: bool,
     dry_run: bool,
     groups: Callable[[str], dict[str, str]],
-<<<<<<< HEAD
     cadences: Callable[[], Cadences],
+    instruments_for: Callable[[Time], list],
 ) -> dict:
-    """Append events to the folder of a survey; see `Survey.record`, and `History` for ``groups``.
+    """Append events to the folder of a survey; see `Survey.record`, `History` for ``groups``, and `warn_of_dates`.
 
     ``cadences`` returns the cadences of the survey, if it has any.
     """
-=======
-    instruments_for: Callable[[Time], list],
-) -> dict:
-    """Append events to the folder of a survey; see `Survey.record`, `History` and `warn_of_dates`."""
->>>>>>> 476419ac9605bd5194b05019b363681a696a2850
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
     for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():

@@ -76,7 +76,8 @@ class Exposures:
             if tile not in fixed:
                 conditions = None if request.conditions is None else str(request.conditions[tile].record)
                 years = None if request.years is None else float(request.years[tile])
-                groups.setdefault((*request.places[tile].tolist(), years, conditions), []).append(tile)
+                key = *request.places[tile].tolist(), years, conditions, id(request.models[tile])
+                groups.setdefault(key, []).append(tile)
         return [np.array(tiles) for tiles in groups.values()]
 
     @property

@@ -55,7 +55,7 @@ class WindowSearch(JointSearch):
         """Return the result of `dates_of`."""
         request, network, windows = self.request, self.network, self._before.windows
         cadences, row = request.cadences
-        given = cadences.epochs, request.source.to_slots(row), request.times, request.brightness, NIGHT
+        given = cadences.epochs, request.source.to_slots(row), request.visit_days, request.brightness, NIGHT
         dates, *others = dates_of(network, *given)
         slot = np.where(network.rank_of_target < network.n_classes, network.slot, -1)
         past = dict(zip(("skipped", "made", "begun", "previous"), windows.past(), strict=True))
@@ -86,7 +86,7 @@ class WindowSearch(JointSearch):
         slots = np.append(network.slot, -1)[network.target[self.chosen]]
         # positioners of fixed tiles have a single candidate
         counted = (network.rank[self.chosen] < network.n_classes) & (np.diff(network.start) > 1)
-        for tile in np.argsort(self.request.times, kind="stable").tolist():
+        for tile in np.argsort(self.request.visit_days, kind="stable").tolist():
             part = slice(network.first[tile], network.first[tile + 1])
             slot = slots[part][counted[part]]
             windows.enter(slot[windows.state(slot, tile)[0]], tile)
