@@ -159,6 +159,8 @@ def check_chart(output):
     return output
 
 
+UNMET = 1
+"""Exit code of a command with the option --strict if a requirement or a constraint is not met."""
 SPELLINGS = {
     "instrument.name": "--instrument",
     "tiles.path": "--tiles",
@@ -218,12 +220,14 @@ def command(
     argument: str | None = None,
     app=None,
     epilog: str | None = None,
+    strict: bool = False,
 ) -> Callable:
     """Return a decorator that makes a command of a function of an object of the dataclass ``cls``.
 
     ``options`` contains the names of the keys that have an option (see `_spelled`), and ``argument`` is the name of the
     key of the words without an option. If the latter is ``catalog.path``, the command also accepts a plan file, and
-    calls the function with a second argument, `Given`.
+    calls the function with a second argument, `Given`. If ``strict`` is true, the function returns texts on the
+    requirements and constraints that are not met, and the command has the option ``--strict``.
     """
     keys = keys_of(cls)
     spelled = dict(_spelled(spelling) for spelling in options.split())
@@ -240,11 +244,16 @@ def command(
                 _app.check_names(settings)
                 _write(given, typed["write_plan"], overwrite=settings.output.overwrite)
             else:
-                function(settings, *([given] if with_file else []))
+                unmet = function(settings, *([given] if with_file else []))
+                if unmet and typed.get("strict"):
+                    raise typer.Exit(UNMET)
 
         parameters = [] if argument is None else [_argument(keys[argument])]
         parameters += [_option(keys[name], text) for name, text in spelled.items()]
         parameters += _further(Given(title, keys, {}), with_file=with_file)
+        if strict:
+            info = typer.Option("--strict", help=f"Exit with the code {UNMET} if a requirement or a rule is not met.")
+            parameters.append(_parameter("strict", bool, False, info))
         call.__signature__ = Signature(parameters)
         call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__name__, call.__doc__, call.keys = function.__name__, function.__doc__, keys

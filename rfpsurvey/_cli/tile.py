@@ -233,8 +233,9 @@ class ScoreKeys:
     "instrument.name center position_angle epoch positions missing options.constraints options.rules catalog.select "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
+    strict=True,
 )
-def score(keys: ScoreKeys, _: Given) -> None:
+def score(keys: ScoreKeys, _: Given) -> list[str]:
     r"""Find the collisions in an assignment that was made by another program.
 
     Examples
@@ -249,6 +250,7 @@ def score(keys: ScoreKeys, _: Given) -> None:
     tile, _ = _scored(keys)
     _print.finish(tile, keys.output)
     _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+    return tile.summary.get("unmet", [])
 
 
 def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.Tile", "rs.Instrument"]:
