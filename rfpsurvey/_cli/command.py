@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
+from astropy.table import Table
 
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
@@ -19,6 +20,7 @@ from rfpsurvey._common.io import check_fits_text, write_bytes
 from rfpsurvey._common.read_tables import is_number, read_table
 from rfpsurvey._common.units import to_center
 from rfpsurvey._field.plan_files import is_plan, native_format, read_plan
+from rfpsurvey._field.plan_values import find_instrument_file, recorded_instrument
 from rfpsurvey._instruments.instrument import as_instrument
 from rfpsurvey._sky.columns import UNITS
 from rfpsurvey._sky.frames import select_rows
@@ -64,6 +66,7 @@ def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"
     """Return the instrument ``name`` or, if it is None, the instrument named in the table; ``read`` reads it."""
     provenance = table.meta.get("provenance")
     name_in_table = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
+    name = name or recorded_instrument(table)
     if name_in_table is None and is_plan(table):
         name = name or table.meta.get("instrument")
     if not name and name_in_table is None:
@@ -90,16 +93,25 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
     return as_catalog(read_catalog(keys)), field
 
 
-def read_assignment(keys):
-    """Read a table, and select the rows with the given values of columns."""
-    if native_format(keys.path) is None or keys.hdu is not None:
+def read_assignment(keys) -> "tuple[Table, rs.Instrument | None]":
+    """Read a table, select the rows with the given values of columns, and return it.
+
+    For the file of a tile in the folder of a survey, return its plan and the instrument of the survey.
+    """
+    from rfpsurvey._survey.export import tile_at  # most commands read no tiles of surveys
+
+    tile, planned = (None, None) if keys.hdu is not None else tile_at(keys.path) or (None, None)
+    if tile is not None:
+        table = tile.table
+    elif native_format(keys.path) is None or keys.hdu is not None:
         table = read_table(keys.path, keys.hdu, "; to read another table, give --set catalog.hdu=NAME")
+        find_instrument_file(table, keys.path)
     else:
         table = read_plan(keys.path)
     table, _ = select_rows(table, keys.select)
     select = ", ".join(f"{name}={value}" for name, value in (keys.select or {}).items())
     table.meta.update(file=keys.path.name, select=select)
-    return table
+    return table, None if planned is None else planned.instrument
 
 
 def units_of(path: Path, units: dict[str, str] | None) -> dict[str, str]:

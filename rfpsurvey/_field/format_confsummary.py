@@ -146,6 +146,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
             plain.rename(temporary)
 
 
+def file_name(_: QTable, tile: str) -> str:
+    """Return the name of the file of a tile."""
+    return f"confSummary-{tile}.par"
+
+
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
@@ -338,8 +343,10 @@ def _given(plan: QTable, struct: dict) -> dict:
     given["catalogid"] = np.where(ids == -1, MISSING, ids)
     given["assigned"] = plain["assigned"].astype(int)
     given.setdefault("valid", np.isfinite(x).astype(int))
-    for name in ("on_target", "decollided"):
-        given.setdefault(name, np.zeros(len(plan), dtype=int))
+    epoch = plan.meta.get("epoch")
+    year = MISSING if epoch is None else to_time(epoch, "epoch").jyear
+    for name, value in {"coord_epoch": year, "on_target": 0, "decollided": 0}.items():
+        given.setdefault(name, np.full(len(plan), value))
     first = [t if t else "BOSS" for t in plain["fiber_type"].tolist()]
     given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
     category = plain.get("category", last_role(plain["kind"].astype(str))).astype(str)
@@ -381,6 +388,8 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
             "decCen": meta.get("deccen", MISSING),
             "pa": meta.get("position_angle", MISSING),
         }
+        if "time" in meta.get("conditions", {}):
+            header["obstime"] = Time(meta["conditions"]["time"], scale="utc").strftime("%a %b %d %H:%M:%S %Y")
     header = without_keywords(header) | to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
     _epoch(header, path)  # raises an error for a value that cannot be read again

@@ -145,6 +145,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         )
 
 
+def file_name(_: QTable, tile: str) -> str:
+    """Return the name of the file of a tile, with the number of the tile in six digits."""
+    return f"fiberassign-{tile:0>6}.fits"
+
+
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
@@ -211,7 +216,12 @@ def _header(plan) -> dict:
 
     A plan that was read from a fiberassign file keeps the keywords of that file. Other plans get only a few keywords.
     """
-    header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
+    if _is_own(plan):
+        header = dict(plan.meta["header"])
+    else:
+        tile, conditions = str(plan.meta.get("survey", {}).get("tile")), plan.meta.get("conditions", {})
+        header = {"TILEID": int(tile) if tile.isdecimal() else 0, "FIELDNUM": 0}
+        header |= {"FA_HA": conditions["hour_angle_deg"]} if "hour_angle_deg" in conditions else {}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
             header[name] = plan.meta[entry]
