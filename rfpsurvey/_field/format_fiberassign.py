@@ -63,6 +63,8 @@ UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
+WHEN = {"FA_HA": "hour_angle_deg", "FA_PLAN": "time"}
+"""Keywords of the hour angle and of the time (UTC), and their entries in observing conditions."""
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
 SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")
 """Keywords of the primary header that the header of the table FIBERASSIGN repeats."""
@@ -221,7 +223,7 @@ def _header(plan) -> dict:
     else:
         tile, conditions = str(plan.meta.get("survey", {}).get("tile")), plan.meta.get("conditions", {})
         header = {"TILEID": int(tile) if tile.isdecimal() else 0, "FIELDNUM": 0}
-        header |= {"FA_HA": conditions["hour_angle_deg"]} if "hour_angle_deg" in conditions else {}
+        header |= {name: conditions[entry] for name, entry in WHEN.items() if entry in conditions}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
             header[name] = plan.meta[entry]
