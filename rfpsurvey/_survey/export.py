@@ -144,8 +144,8 @@ class PlannedTiles:
             n = max(int(differ.sum()), scored.summary["n_out_of_reach"], 1)
             raise InputError(
                 f"the poses of tile {name} must be those of its plan, got other collisions of "
-                f"{number_of(n, 'positioner')}; the plan was made with another state of the instrument, which must be "
-                "given (instrument=), or with handedness both, which the folder does not contain"
+                f"{number_of(n, 'positioner')}; the plan was made with another state of the instrument, or with arms "
+                "that are bent to the other side (handedness both), which the folder does not contain"
             )
         row_of = np.full(len(table), -1)
         row_of[owner] = np.arange(len(visits))
