@@ -263,7 +263,7 @@ def export(
     """Write tiles of a survey to files of plans; see `Survey.export`."""
     folder, planned = to_path(folder), planned_tiles(survey, instrument)
     rows = range(len(survey)) if tiles is None else rows_of_tiles(survey, tiles)
-    records, left_out, said = [], {}, defaultdict(list)
+    records, left_out, said, n_stuck = [], {}, defaultdict(list), 0
     if is_new := not folder.is_dir():
         check_parent(folder)
         with written(folder):
@@ -281,6 +281,9 @@ def export(
                     continue
                 plan = as_plan(tile)
                 path = folder / file_name(plan, name, format)
+                if any(path.name == record[1] for record in records):
+                    raise InputError(f"{path} must be the file of one tile, got {name} and another tile of this name")
+                n_stuck += int(((plan["kind"] == "sky") & ~plan["assigned"]).sum())
                 # all files are renamed when all of them are complete
                 temporary = stack.enter_context(writing_to(path, (suffix_of(path),), overwrite=overwrite))
                 for text in _write(tile, plan, temporary, format, path):
@@ -296,6 +299,8 @@ def export(
         raise
     for text, names in said.items():
         warn(f"{text} ({number_of(len(names), 'file')}, such as {names[0]})")
+    if n_stuck:
+        warn(f"{number_of(n_stuck, 'stuck fiber')} on sky are written without a position and an identifier of a target")
     if left_out:
         names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
         warn(f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})")

@@ -13,7 +13,7 @@ from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import QTable, Table
 from numpy.testing import assert_allclose, assert_array_equal
-from raising import refused
+from raising import refused, warned
 
 import rfpsurvey as rs
 import sdssv_files
@@ -226,3 +226,36 @@ def test_kinds_priorities_and_rules_are_in_the_table_of_a_tile(tmp_path):
     assert record["constraints"] == {"0": "sky=3", "1": "standard=1"}
     assert [record["unmet"]] == tile.summary["unmet"] == [survey.tiles["unmet"][2]]
     assert tile.provenance["parameters"]["epoch"] == survey.provenance["parameters"]["epoch"]
+
+
+def test_stuck_fibers_on_sky_are_counted(tmp_path):
+    desi_files.metrology(tmp_path / "fp.csv", per_petal=25)
+    desi = rs.Instrument.from_desi(tmp_path / "fp.csv")
+    states = Table({"id": desi.focal_plane.id[:20], "state": ["stuck"] * 20, "theta": 17.0 * np.arange(20)})
+    states["phi"] = 100.0
+    desi = desi.with_states(states)
+    options = {"requirements": ["sky=10"], "sky_separation": 2 * u.arcsec}
+    survey = plan(desi, tmp_path, 900, tiling=tiles(desi)[:1], **options)
+    n_stuck = len(survey.tile(11)) - survey.tiles["n_assigned"][0]
+    assert n_stuck > 10
+    text = f"{n_stuck} stuck fibers on sky are written without a position"
+    warned(text, survey.export, format="fiberassign", output=tmp_path, instrument=desi)
+    score = rs.score_tile(rs.plans.read_plan(tmp_path / "fiberassign-000011.fits"), constraints=["sky=10"])
+    assert score.summary["requirements"] == {"sky=10": [n_stuck]}
+
+
+def test_two_tiles_with_the_same_name_of_a_file_are_refused(tmp_path):
+    table = living.tiling(n=2).table.copy()
+    table["tile"] = ["b/c", "b_c"]
+    survey = rs.plan_survey(living.targets(), "moons", rs.Tiling(table), folder=tmp_path / "plan")
+    with pytest.raises(rs.InputError, match=r"tile-b_c.fits must be the file of one tile, got b_c and another tile"):
+        survey.export(output=tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_survey_in_memory_is_refused(tmp_path):
+    survey = rs.plan_survey(living.targets(), "moons", living.tiling(n=2))
+    refused("the survey must have a folder to export its tiles, got a survey in memory", survey.export)
+    survey = rs.plan_survey(living.targets(), "moons", living.tiling(n=2), folder=tmp_path / "plan")
+    refused("instrument must be that of the survey, moons with the digest", survey.export, instrument="lamost")
+    refused("tiles must be identifiers of tiles, or text such as 12-20,31, got 1.5", survey.export, 1.5)
