@@ -17,6 +17,7 @@ from astropy.table import QTable
 
 from rfpsurvey._assignment.constraints.targets import circle_text
 from rfpsurvey._assignment.constraints.text import listed_in, recorded_constraints
+from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import COPIED, Column, describe, table_of, with_unit
 from rfpsurvey._common.executors import Progress
 from rfpsurvey._common.files import check_parent, suffix_of, to_path
@@ -82,8 +83,8 @@ class PlannedTiles:
         try:
             return tuple(Region.parse(text) for text in listed_in(self.parameters.get("keep_out", [])))
         except InputError:  # the folder contains only a digest of many circles
-            keys = keys_in(self.survey.folder, ("allocator", "instrument", "tiles", "catalog", "visits", "rule"))
-            return tuple(Region.parse(text) for text in keys.options["keep_out"])
+            options = keys_in(self.survey.folder, ("allocator", "instrument", "visits", "rule")).options
+            return AllocationOptions(**{name: options.get(name) for name in ("constraints", "keep_out")}).keep_out
 
     def put_instrument(self, folder: Path) -> None:
         """Write the file of the instrument to a folder of plans, unless the folder already contains it."""
@@ -166,7 +167,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
     if survey.folder is None:
         raise InputError("the survey must have a folder to export its tiles, got a survey in memory; plan with folder=")
     if instrument is None:
-        keys = keys_in(survey.folder, ("allocator", "tiles", "catalog", "visits", "rule"))
+        keys = keys_in(survey.folder, ("allocator", "visits", "rule"))
 
         def time_of_tiles():
             return key_objects.time_of_tiles(read_tiles(keys.tiles), keys.epoch, keys.conditions)

@@ -259,3 +259,16 @@ def test_a_survey_in_memory_is_refused(tmp_path):
     survey = rs.plan_survey(living.targets(), "moons", living.tiling(n=2), folder=tmp_path / "plan")
     refused("instrument must be that of the survey, moons with the digest", survey.export, instrument="lamost")
     refused("tiles must be identifiers of tiles, or text such as 12-20,31, got 1.5", survey.export, 1.5)
+
+
+def test_many_circles_are_those_of_the_plan_file(presets, tmp_path):
+    """The provenance of a survey contains only a digest of more than 1000 circles."""
+    rng, moons = np.random.default_rng(4), presets["moons"]
+    places = rng.uniform(-3, 3, (1100, 2)) * moons.field_radius.to_value(u.deg)
+    circles = [rs.Region.cap(CENTER.spherical_offsets_by(*(place * u.deg)), 10 * u.arcsec) for place in places]
+    options = rs.AllocationOptions("lamost_rule", keep_out=circles)
+    survey = rs.plan_survey(targets(moons, 3000), moons, tiles(moons), allocator=options, folder=tmp_path / "plan")
+    assert survey.tiles["n_obstacle_collisions"].min() > 0
+    assert_same_score(survey, survey.export(output=tmp_path), tmp_path)
+    record = rs.Tile.read(tmp_path / "tile-11.fits").provenance["parameters"]["survey"]["keep_out"]
+    assert 50 < len(record) < 500  # those near the field
