@@ -29,7 +29,7 @@ from rfpsurvey._field.plan_values import (
     without_keywords,
 )
 from rfpsurvey._sky.arrays import last_role
-from rfpsurvey._sky.time import to_time
+from rfpsurvey._sky.time import to_moment, to_time
 from rfpsurvey.errors import InputError, number_of
 
 FORMAT, ENDINGS = "confsummary", (".par",)
@@ -389,7 +389,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
             "pa": meta.get("position_angle", MISSING),
         }
         if "time" in meta.get("conditions", {}):
-            header["obstime"] = Time(meta["conditions"]["time"], scale="utc").strftime("%a %b %d %H:%M:%S %Y")
+            header["obstime"] = to_moment(meta["conditions"]["time"], "time").strftime("%a %b %d %H:%M:%S %Y")
     header = without_keywords(header) | to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
     _epoch(header, path)  # raises an error for a value that cannot be read again

@@ -168,6 +168,9 @@ def test_surveys_of_real_instruments_as_built(tmp_path, path, name):
     model = rs.Instrument.read(path)
     options = {"allocator": "lamost_rule", "folder": tmp_path / "plan"}
     survey = rs.plan_survey(targets(model, 3 * len(model.focal_plane)), path, tiles(model), **options)
+    survey.export("11", output=tmp_path / "tile")
+    tile = rs.score_tile(rs.Tile.read(tmp_path / "tile" / "tile-11.fits"))
+    assert tile.summary["n_colliding"] == survey.tiles["n_colliding"][0]
     assert_same_score(survey, survey.export(format=name, output=tmp_path / "out"), tmp_path / "out")
 
 
