@@ -71,6 +71,7 @@ def write_help(app):
         "compare-allocators",
         "score",
         "convert",
+        "export",
         "tile",
         "survey",
         "record",

@@ -27,6 +27,7 @@ COMMANDS = {
     "convert": "Convert a plan to the format of another program.",
     "design": "Scan designs of positioners, optionally around the design of an instrument, and find the best designs.",
     "diff": "List the tiles and fibers that differ between two plans of a survey, and the reasons.",
+    "export": "Write tiles of a survey to files in the format of an observatory, one file for each tile.",
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
     "paths": "Plan paths of all arms between the folded poses and a plan, and prove that no arms collide.",
@@ -49,7 +50,8 @@ MODULES = {
     **dict.fromkeys(("compare-allocators", "benchmark"), "compare"),
     **dict.fromkeys(("instruments", "probability"), "plan"),
     **dict.fromkeys(("diff", "record", "status"), "survey"),
-    **dict.fromkeys(("convert", "paths", "score"), "tile"),
+    **dict.fromkeys(("paths", "score"), "tile"),
+    "convert": "export",
     "potential": "select",
 }
 """Modules of the commands that share a module with the command of its name."""

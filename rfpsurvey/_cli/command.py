@@ -9,6 +9,7 @@ from types import SimpleNamespace
 from typing import Annotated, Any
 
 import typer
+from astropy.table import Table
 
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
@@ -19,6 +20,7 @@ from rfpsurvey._common.io import check_fits_text, write_bytes
 from rfpsurvey._common.read_tables import is_number, read_table
 from rfpsurvey._common.units import to_center
 from rfpsurvey._field.plan_files import is_plan, native_format, read_plan
+from rfpsurvey._field.plan_values import find_instrument_file, recorded_instrument
 from rfpsurvey._instruments.instrument import as_instrument
 from rfpsurvey._sky.columns import UNITS
 from rfpsurvey._sky.frames import select_rows
@@ -64,6 +66,7 @@ def instrument_of(table, name: str | None, read: Callable[[str], "rs.Instrument"
     """Return the instrument ``name`` or, if it is None, the instrument named in the table; ``read`` reads it."""
     provenance = table.meta.get("provenance")
     name_in_table = provenance.get("instrument", {}).get("name") if isinstance(provenance, dict) else None
+    name = name or recorded_instrument(table)
     if name_in_table is None and is_plan(table):
         name = name or table.meta.get("instrument")
     if not name and name_in_table is None:
@@ -90,16 +93,25 @@ def targets_and_center(keys, center: str | None, model: "rs.Instrument", seed: i
     return as_catalog(read_catalog(keys)), field
 
 
-def read_assignment(keys):
-    """Read a table, and select the rows with the given values of columns."""
-    if native_format(keys.path) is None or keys.hdu is not None:
+def read_assignment(keys) -> "tuple[Table, rs.Instrument | None]":
+    """Read a table, select the rows with the given values of columns, and return it.
+
+    For the file of a tile in the folder of a survey, return its plan and the instrument of the survey.
+    """
+    from rfpsurvey._survey.export import tile_at  # most commands read no tiles of surveys
+
+    tile, planned = (None, None) if keys.hdu is not None else tile_at(keys.path) or (None, None)
+    if tile is not None:
+        table = tile.table
+    elif native_format(keys.path) is None or keys.hdu is not None:
         table = read_table(keys.path, keys.hdu, "; to read another table, give --set catalog.hdu=NAME")
+        find_instrument_file(table, keys.path)
     else:
         table = read_plan(keys.path)
     table, _ = select_rows(table, keys.select)
     select = ", ".join(f"{name}={value}" for name, value in (keys.select or {}).items())
     table.meta.update(file=keys.path.name, select=select)
-    return table
+    return table, None if planned is None else planned.instrument
 
 
 def units_of(path: Path, units: dict[str, str] | None) -> dict[str, str]:
@@ -159,6 +171,8 @@ def check_chart(output):
     return output
 
 
+UNMET = 1
+"""Exit code of a command with the option --strict if a requirement or a constraint is not met."""
 SPELLINGS = {
     "instrument.name": "--instrument",
     "tiles.path": "--tiles",
@@ -218,12 +232,14 @@ def command(
     argument: str | None = None,
     app=None,
     epilog: str | None = None,
+    strict: bool = False,
 ) -> Callable:
     """Return a decorator that makes a command of a function of an object of the dataclass ``cls``.
 
     ``options`` contains the names of the keys that have an option (see `_spelled`), and ``argument`` is the name of the
     key of the words without an option. If the latter is ``catalog.path``, the command also accepts a plan file, and
-    calls the function with a second argument, `Given`.
+    calls the function with a second argument, `Given`. If ``strict`` is true, the function returns texts on the
+    requirements and constraints that are not met, and the command has the option ``--strict``.
     """
     keys = keys_of(cls)
     spelled = dict(_spelled(spelling) for spelling in options.split())
@@ -240,11 +256,16 @@ def command(
                 _app.check_names(settings)
                 _write(given, typed["write_plan"], overwrite=settings.output.overwrite)
             else:
-                function(settings, *([given] if with_file else []))
+                unmet = function(settings, *([given] if with_file else []))
+                if unmet and typed.get("strict"):
+                    raise typer.Exit(UNMET)
 
         parameters = [] if argument is None else [_argument(keys[argument])]
         parameters += [_option(keys[name], text) for name, text in spelled.items()]
         parameters += _further(Given(title, keys, {}), with_file=with_file)
+        if strict:
+            info = typer.Option("--strict", help=f"Exit with the code {UNMET} if a requirement or a rule is not met.")
+            parameters.append(_parameter("strict", bool, False, info))
         call.__signature__ = Signature(parameters)
         call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__name__, call.__doc__, call.keys = function.__name__, function.__doc__, keys

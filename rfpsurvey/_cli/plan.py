@@ -76,8 +76,9 @@ class PlanKeys:
     "instrument.name center position_angle epoch options.allocator options.constraints options.rules rng "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
+    strict=True,
 )
-def plan(keys: PlanKeys, given) -> None:
+def plan(keys: PlanKeys, given) -> list[str]:
     r"""Assign the targets of a field to fibers, and find the arms that collide.
 
     Examples
@@ -134,6 +135,7 @@ def plan(keys: PlanKeys, given) -> None:
     _print.finish(tile, keys.output)
     if ended_early:
         raise typer.Exit(130)
+    return tile.summary["unmet"]
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,9 @@ from rfpsurvey.errors import listed, number_of
     "tiles.path instrument.name options.allocator options.constraints catalog.visits tiles.passes epoch "
     "catalog.columns output.folder output.resume output.replan workers rng output.plot output.report output.overwrite",
     argument="catalog.path",
+    strict=True,
 )
-def survey(keys: SurveyKeys, given: Given) -> None:
+def survey(keys: SurveyKeys, given: Given) -> list[str]:
     r"""Plan the tiles of a survey so that as many targets as possible are observed the requested number of times.
 
     Examples
@@ -65,7 +66,7 @@ def survey(keys: SurveyKeys, given: Given) -> None:
     call = call_of(keys, tell=print_text)
     with _app.seed_of(keys.catalog.path), _surveys.workers(keys) as executor:
         options = {"folder": keys.output.folder, "resume": keys.output.resume or keys.output.replan}
-        _surveys.run(executor, call | options, keys.output, given)
+        return _surveys.run(executor, call | options, keys.output, given).summary["unmet"]
 
 
 def values_of(path: Path | None) -> dict | None:

@@ -141,8 +141,8 @@ def _print_gain(state: dict) -> None:
     print(text, file=sys.stderr)
 
 
-def run(executor, options: dict, output, given) -> None:
-    """Plan a survey and print its summary; write the plots, the report and the plan file of ``given``."""
+def run(executor, options: dict, output, given) -> "rs.Survey":
+    """Plan a survey, print its summary and return it; write the plots, the report and the plan file of ``given``."""
     begin = perf_counter()
     is_joint = isinstance(options["allocator"], rs.JointOptions)
     if is_joint:
@@ -173,3 +173,4 @@ def run(executor, options: dict, output, given) -> None:
         _print_survey(survey, seconds)
         if survey.folder is not None:
             print(f"wrote {survey.folder}")
+    return survey

@@ -1,4 +1,4 @@
-"""The commands ``rfpsurvey tile``, ``score`` and ``convert``."""
+"""The commands ``rfpsurvey tile``, ``score`` and ``paths``."""
 
 import sys
 from dataclasses import dataclass, replace
@@ -6,18 +6,15 @@ from pathlib import Path
 from typing import Annotated
 
 import astropy.units as u
-import typer
 from astropy.time import Time
 
 import rfpsurvey as rs
-from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.descriptions import help_of
-from rfpsurvey._common.files import WRITABLE, check_parent, check_separate, has_ending
+from rfpsurvey._common.files import WRITABLE, has_ending
 from rfpsurvey._common.read_tables import import_parquet
-from rfpsurvey._field.plan_files import read_plan, write_plan
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_groups, key_objects
@@ -191,7 +188,8 @@ class ScoreInstrumentKeys(key_groups.StateKeys):
     ----------
     name : str, optional
         Instrument: the name of a preset, the path of a TOML file, or the path of the calibration files of a real
-        instrument. By default, the instrument named in the plan or tile is used.
+        instrument. By default, the instrument named in the plan or tile is used; for an exported plan or a tile in the
+        folder of a survey, the instrument of the survey.
     """
 
     name: Annotated[str | None, Located] = None
@@ -212,7 +210,8 @@ class ScoreKeys:
     missing : str, optional
         Treatment of assigned rows without a position: refuse, or skip (score the other rows).
     parked_obstacles : bool, optional
-        Whether parked arms of idle positioners are obstacles, if both arms of a positioner are equally long.
+        Whether parked arms of idle positioners are obstacles, if both arms of a positioner are equally long. The
+        default is true, or the value of the survey for its tiles.
     """
 
     catalog: AssignmentKeys
@@ -225,7 +224,7 @@ class ScoreKeys:
     epoch: key_groups.Epoch = None
     positions: str | None = None
     missing: str = "refuse"
-    parked_obstacles: bool = True
+    parked_obstacles: bool | None = None
 
 
 @command(
@@ -233,8 +232,9 @@ class ScoreKeys:
     "instrument.name center position_angle epoch positions missing options.constraints options.rules catalog.select "
     "catalog.columns output.path output.plot output.report output.overwrite",
     argument="catalog.path",
+    strict=True,
 )
-def score(keys: ScoreKeys, _: Given) -> None:
+def score(keys: ScoreKeys, _: Given) -> list[str]:
     r"""Find the collisions in an assignment that was made by another program.
 
     Examples
@@ -244,11 +244,13 @@ def score(keys: ScoreKeys, _: Given) -> None:
     rfpsurvey score plan.ecsv --instrument sdss_apo
     rfpsurvey score designs.ecsv --instrument sdss_lco \
         --set catalog.select.design_id=503246 --set equinox=J2022.0
-    rfpsurvey score tile.fits --constraint sky=20/spectrograph
+    rfpsurvey score tile.fits --constraint sky=20/spectrograph --strict
+    rfpsurvey score plan/tiles/000/000007.fits
     """
     tile, _ = _scored(keys)
     _print.finish(tile, keys.output)
     _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+    return tile.summary.get("unmet", [])
 
 
 def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.Tile", "rs.Instrument"]:
@@ -257,7 +259,7 @@ def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.
     if path is None:
         raise rs.InputError("catalog.path must be given: the file of the plan")
     _app.check_outputs(keys.output, (path, keys.instrument.name, keys.instrument.broken), writable)
-    table = _app.read_assignment(keys.catalog)
+    table, model = _app.read_assignment(keys.catalog)
     options = {name: getattr(keys, name) for name in ("positions", "epoch", "missing", "parked_obstacles")}
     if keys.center is None:
         options["equinox"] = keys.equinox
@@ -269,7 +271,8 @@ def _scored(keys: ScoreKeys, writable: tuple[str, ...] = WRITABLE) -> tuple["rs.
     def read(name: str) -> "rs.Instrument":
         return _app.model_of(replace(keys.instrument, name=name), lambda: _time_of(table, keys.epoch))
 
-    model = _app.instrument_of(table, keys.instrument.name, read)
+    if model is None or any(vars(keys.instrument).values()):
+        model = _app.instrument_of(table, keys.instrument.name, read)
     constraints = keys.options.constraints
     if keys.options.rules is not None:
         constraints = [*(constraints or ()), *model.rules(keys.options.rules)]
@@ -356,36 +359,3 @@ def _time_of(table, epoch: object) -> Time | None:
     provenance = table.meta.get("provenance")
     recorded = provenance.get("parameters", {}).get("conditions") if isinstance(provenance, dict) else None
     return key_objects.time_of(None if recorded is None else rs.ObservingConditions.from_record(recorded), epoch)
-
-
-@_main.app.command(cls=_main.Command)
-def convert(
-    source: Annotated[
-        Path, typer.Argument(help="File to convert: a plan of another program, or a tile (.fits or .ecsv).")
-    ],
-    target: Annotated[Path, typer.Argument(help="New file, such as confSummary-26.par.gz or plan.ecsv.")],
-    format: Annotated[  # noqa: A002
-        str | None,
-        typer.Option(
-            help="Format of the new file: confsummary, fiberassign, pfsdesign, table, or a format of an installed "
-            "package. By default, the extension of the file name determines the format."
-        ),
-    ] = None,
-    overwrite: Annotated[bool, typer.Option(help="Replace existing files.")] = False,
-) -> None:
-    """Convert a plan to the format of another program.
-
-    Examples
-    --------
-    rfpsurvey convert confSummary-26.par plan.ecsv
-    rfpsurvey convert tile.fits confSummary-26.par.gz
-    rfpsurvey plan targets.fits --instrument fp-metrology.csv --output tile.fits
-    rfpsurvey convert tile.fits fiberassign-000001.fits --format fiberassign
-    """
-    check_separate([target], [source])
-    check_parent(target)
-    plan = read_plan(source)
-    write_plan(plan, target, format=format, overwrite=overwrite)
-    n_assigned, n = int(plan["assigned"].sum()), len(plan)
-    instrument = f" of {plan.meta['instrument']}" if plan.meta.get("instrument") else ""
-    print(f"{target}: {n_assigned} of {n} fibers{instrument} have a target")

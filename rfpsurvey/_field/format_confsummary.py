@@ -29,7 +29,7 @@ from rfpsurvey._field.plan_values import (
     without_keywords,
 )
 from rfpsurvey._sky.arrays import last_role
-from rfpsurvey._sky.time import to_time
+from rfpsurvey._sky.time import to_moment, to_time
 from rfpsurvey.errors import InputError, number_of
 
 FORMAT, ENDINGS = "confsummary", (".par",)
@@ -144,6 +144,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
             temporary.write_bytes(gzip.compress(plain.read_bytes(), mtime=0))
         else:
             plain.rename(temporary)
+
+
+def file_name(_: QTable, tile: str) -> str:
+    """Return the name of the file of a tile."""
+    return f"confSummary-{tile}.par"
 
 
 def lost(plan: QTable) -> list[str]:
@@ -338,8 +343,10 @@ def _given(plan: QTable, struct: dict) -> dict:
     given["catalogid"] = np.where(ids == -1, MISSING, ids)
     given["assigned"] = plain["assigned"].astype(int)
     given.setdefault("valid", np.isfinite(x).astype(int))
-    for name in ("on_target", "decollided"):
-        given.setdefault(name, np.zeros(len(plan), dtype=int))
+    epoch = plan.meta.get("epoch")
+    year = MISSING if epoch is None else to_time(epoch, "epoch").jyear
+    for name, value in {"coord_epoch": year, "on_target": 0, "decollided": 0}.items():
+        given.setdefault(name, np.full(len(plan), value))
     first = [t if t else "BOSS" for t in plain["fiber_type"].tolist()]
     given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
     category = plain.get("category", last_role(plain["kind"].astype(str))).astype(str)
@@ -381,6 +388,8 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
             "decCen": meta.get("deccen", MISSING),
             "pa": meta.get("position_angle", MISSING),
         }
+        if "time" in meta.get("conditions", {}):
+            header["obstime"] = to_moment(meta["conditions"]["time"], "time").strftime("%a %b %d %H:%M:%S %Y")
     header = without_keywords(header) | to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
     _epoch(header, path)  # raises an error for a value that cannot be read again

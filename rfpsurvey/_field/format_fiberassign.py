@@ -63,6 +63,8 @@ UNASSIGNED, STUCK, BROKEN = 1, 2, 4
 SCIENCE, STANDARD, SKY, SUPPLEMENTAL_SKY = 1, 2, 4, 16
 KINDS = {"science": SCIENCE, "standard": STANDARD, "sky": SKY, "": 0}
 POINTING = {"TILERA": "racen", "TILEDEC": "deccen", "REQRA": "racen", "REQDEC": "deccen"}
+WHEN = {"FA_HA": "hour_angle_deg", "FA_PLAN": "time"}
+"""Keywords of the hour angle and of the time (UTC), and their entries in observing conditions."""
 SHARED = ("TILEID", "TILERA", "TILEDEC", "FIELDROT", "REQRA", "REQDEC", "FIELDNUM")
 SHARED += ("FA_PLAN", "FA_HA", "FA_RUN", "FA_M_GFA", "FA_M_PET", "FA_M_POS", "FA_VER", "FA_SURV")
 """Keywords of the primary header that the header of the table FIBERASSIGN repeats."""
@@ -145,6 +147,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
         )
 
 
+def file_name(_: QTable, tile: str) -> str:
+    """Return the name of the file of a tile, with the number of the tile in six digits."""
+    return f"fiberassign-{tile:0>6}.fits"
+
+
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
@@ -211,7 +218,12 @@ def _header(plan) -> dict:
 
     A plan that was read from a fiberassign file keeps the keywords of that file. Other plans get only a few keywords.
     """
-    header = dict(plan.meta["header"]) if _is_own(plan) else {"TILEID": 0, "FIELDNUM": 0}
+    if _is_own(plan):
+        header = dict(plan.meta["header"])
+    else:
+        tile, conditions = str(plan.meta.get("survey", {}).get("tile")), plan.meta.get("conditions", {})
+        header = {"TILEID": int(tile) if tile.isdecimal() else 0, "FIELDNUM": 0}
+        header |= {name: conditions[entry] for name, entry in WHEN.items() if entry in conditions}
     for name, entry in POINTING.items():
         if plan.meta.get(entry) is not None and (name in header or not _is_own(plan)):
             header[name] = plan.meta[entry]

@@ -26,6 +26,7 @@ from rfpsurvey._field.format_pfsdesign_write import (
     TEXT,
     WHOLE,
     design_id,
+    file_name,
     wrapped,
     write,
 )
@@ -33,7 +34,7 @@ from rfpsurvey._field.plan_values import from_keywords, make_plan, own_name, tex
 from rfpsurvey._instruments.pfs_files import PFI_ANGLE, pfs_fibers
 from rfpsurvey.errors import InputError, listed, warn
 
-__all__ = ["ENDINGS", "lost", "neglected", "read", "recognizes", "write"]
+__all__ = ["ENDINGS", "file_name", "lost", "neglected", "read", "recognizes", "write"]
 
 ENDINGS = (".fits",)
 KINDS = {1: "science", 2: "sky", 3: "standard", 12: "science"}

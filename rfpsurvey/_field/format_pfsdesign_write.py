@@ -62,7 +62,7 @@ CARDS = {
     "DEC": ("[degree] declination of the field center", lambda meta: float(meta["deccen"])),
     "POSANG": ("[degree] position angle of the PFI", lambda meta: wrapped(float(meta["position_angle"]) - PFI_ANGLE)),
     "ARMS": ("spectrograph arms to expose", "brn"),
-    "DSGN_NAM": ("name of the design", ""),
+    "DSGN_NAM": ("name of the design", lambda meta: meta.get("survey", {}).get("tile", "")),
     "DAMD_VER": ("version of the data model", 4),
     "W_PFDSGN": ("identifier of the design", 0),
     "VARIANT": ("", 0),
@@ -101,6 +101,11 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
             units.writeto(temporary)
         except (ValueError, TypeError, fits.VerifyError) as error:
             raise InputError(f"{path}: the plan cannot be written as FITS: {sentence(error)}") from error
+
+
+def file_name(plan: QTable, _: str) -> str:
+    """Return the name of the file of a design, which contains its identifier."""
+    return f"pfsDesign-0x{_identifier(plan, _rows(plan, Path('a design'))):016x}.fits"
 
 
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:

@@ -11,7 +11,7 @@ from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_flags, to_plain, to_unit
 from rfpsurvey._field.plan_files import FROM_TILE, as_plan, is_plan, is_tile
-from rfpsurvey._field.plan_values import COLUMNS
+from rfpsurvey._field.plan_values import COLUMNS, INSTRUMENT_FILE
 from rfpsurvey.errors import InputError, listed, short
 
 ENDINGS = WRITABLE
@@ -20,6 +20,7 @@ REQUIRED_OF_TILE = ("id", "target_id", "status", "tip_x", "tip_y")
 TEXT, NUMBER = (str,), (int, float)
 META = {
     **{"format": TEXT, "instrument": TEXT, "epoch": TEXT, "north_of": TEXT, "projection": TEXT, "conditions": (dict,)},
+    **{"survey": (dict,), "instrument_digest": TEXT},
     **dict.fromkeys(("racen", "deccen", "position_angle"), NUMBER),
 }
 """Entries in the ``meta`` of a plan, or in the provenance of a tile, with their types."""
@@ -49,7 +50,8 @@ def read(path: Path) -> QTable:
 def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
     """Write a plan as ECSV or FITS, without the other tables of the file from which the plan was read."""
     plan = plan.copy(copy_data=False)
-    plan.meta.pop("extensions", None)
+    for name in ("extensions", INSTRUMENT_FILE):
+        plan.meta.pop(name, None)
     write_table(plan, path, overwrite=overwrite, name="PLAN")
 
 

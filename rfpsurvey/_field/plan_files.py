@@ -7,6 +7,7 @@ represent. Further names are optional (`OPTIONAL`).
 """
 
 import os
+import re
 from importlib import import_module
 from pathlib import Path
 from types import SimpleNamespace
@@ -19,7 +20,7 @@ from rfpsurvey._common.plugins import find_plugin, plugin_names
 from rfpsurvey._common.read_documents import check_is_file, reading, sentence
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_plain
-from rfpsurvey._field.plan_values import ENTRIES, make_plan
+from rfpsurvey._field.plan_values import ENTRIES, find_instrument_file, make_plan
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, warn
 
 FORMATS = ("confsummary", "fiberassign", "pfsdesign")
@@ -92,7 +93,9 @@ def read_plan(path: str | os.PathLike, format: str | None = None) -> QTable:  # 
             raise InputError(f"{path}: the file must be a plan in one of the formats {', '.join(_names())}")
     module = _format(format)
     with reading(path, f"a plan in the format {format}"):
-        return module.read(path)
+        plan = module.read(path)
+    find_instrument_file(plan, path)
+    return plan
 
 
 @check_keywords
@@ -150,6 +153,13 @@ def write_plan(
         raise InputError(f"{path}: the plan cannot be written, because it is damaged: {sentence(error)}") from error
     if lost:
         warn(f"{path} was written without {', '.join(lost)}, which this format cannot hold")
+
+
+def file_name(plan: QTable, tile: int | str, format: str) -> str:  # noqa: A002
+    """Return the usual name of the file of a tile in a format."""
+    module, name = _format(format), re.sub(r"[^\w.+-]", "_", str(tile))
+    usual = getattr(module, "file_name", lambda plan, name: f"tile-{name}{module.ENDINGS[0]}")
+    return usual(plan, name)
 
 
 def recognize_plan(path: str | os.PathLike) -> str | None:
@@ -289,7 +299,8 @@ def as_plan(plan: object) -> QTable:
         deccen=parameters.get("dec_deg"),
         position_angle=parameters.get("position_angle_deg"),
         epoch=parameters.get("epoch"),
-        **{name: parameters.get(name) for name in ENTRIES},
+        **{name: parameters.get(name) for name in ENTRIES}
+        | {"instrument_digest": table.meta["provenance"]["instrument"].get("digest")},
     )
 
 

@@ -1,19 +1,25 @@
 """Parts of plans and their files: columns, keywords that describe the projection, and the instrument."""
 
+import re
 from pathlib import Path
 from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable
+from astropy.table import QTable, Table
 
+from rfpsurvey._common.read_documents import is_present
 from rfpsurvey._common.read_tables import is_number
+from rfpsurvey._instruments.instrument import as_instrument, available_instruments
 from rfpsurvey._sky.arrays import JOINED
 from rfpsurvey.errors import InputError
 
 PREFIX = "rfpsurvey."
-ENTRIES = ("north_of", "projection", "conditions")
-"""Entries of the ``meta`` of a plan that describe how its sky positions were projected."""
+ENTRIES = ("north_of", "projection", "conditions", "survey", "instrument_digest")
+"""Entries of the ``meta`` of a plan that describe how it was made: the projection, the survey and the instrument."""
+INSTRUMENT_FILE = "instrument_file"
+"""Entry of the ``meta`` of a plan with the path of the file that describes its instrument."""
+DIGEST = re.compile("[0-9a-f]{16}")
 
 
 COLUMNS = dict.fromkeys(("positioner", "fiber_type", "target_id", "kind", "assigned"))
@@ -138,13 +144,65 @@ def from_keywords(header: dict) -> dict:
         for group in groups:
             entry = entry.setdefault(group, {}) if isinstance(entry, dict) else {}
         if isinstance(entry, dict):
-            entry[last] = float(value) if groups and isinstance(value, str) and is_number(value) else value
+            is_text_of_number = groups[:1] == ["conditions"] and isinstance(value, str) and is_number(value)
+            entry[last] = float(value) if is_text_of_number else value
     return {name: entries[name] for name in ENTRIES if name in entries}
 
 
 def without_keywords(header: dict) -> dict:
     """Return the keywords of a file without those that `to_keywords` wrote."""
     return {name: value for name, value in header.items() if not name.lower().startswith(PREFIX)}
+
+
+def instrument_file(digest: str) -> str:
+    """Return the name of the file of an instrument that is not a preset, in the folder of its plans."""
+    return f"instrument-{digest}.ecsv"
+
+
+def _about_instrument(table: Table) -> tuple[object, str]:
+    """Return the name and the digest of the instrument that a plan or a tile records; empty text if there is none."""
+    provenance = table.meta.get("provenance")
+    if isinstance(provenance, dict):
+        about = provenance.get("instrument", {})
+        name, digest = (about.get(entry) for entry in ("name", "digest")) if isinstance(about, dict) else ("", "")
+    else:
+        name, digest = table.meta.get("instrument"), table.meta.get("instrument_digest")
+    return name, digest if isinstance(digest, str) and DIGEST.fullmatch(digest) else ""
+
+
+def find_instrument_file(table: Table, path: Path) -> None:
+    """Add to the ``meta`` of a plan the path of the file of its instrument, if the folder of the plan contains it."""
+    _, digest = _about_instrument(table)
+    table.meta.pop(INSTRUMENT_FILE, None)
+    if digest and is_present(file := path.with_name(instrument_file(digest))):
+        table.meta[INSTRUMENT_FILE] = str(file)
+
+
+def recorded_instrument(table: Table) -> str | None:
+    """Return the path or the preset of the instrument with which a plan was made; None if it is not known.
+
+    An error is raised for the plan of a survey, which would be scored with an instrument other than its own.
+    """
+    name, digest = _about_instrument(table)
+    if path := table.meta.get(INSTRUMENT_FILE):
+        return path
+    is_preset = bool(digest) and name in available_instruments()
+    if is_preset and as_instrument(name).provenance["digest"] == digest:
+        return name
+    if digest and survey_entry(table):
+        raise InputError(
+            f"instrument must be given, because the plan was not made with an unchanged preset, and its folder lacks "
+            f"the file {instrument_file(digest)}, got none"
+        )
+    return None
+
+
+def survey_entry(table: Table) -> dict:
+    """Return the entry ``survey`` of a plan or a tile that was exported from a survey; an empty dict for others."""
+    provenance = table.meta.get("provenance")
+    entries = provenance.get("parameters", {}) if isinstance(provenance, dict) else table.meta
+    entry = entries.get("survey") if isinstance(entries, dict) else None
+    return entry if isinstance(entry, dict) else {}
 
 
 def check_instrument(plan: QTable, path: Path, what: str, *names: str) -> None:

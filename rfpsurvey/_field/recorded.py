@@ -18,7 +18,7 @@ from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.survey_formats import survey_of_north
 from rfpsurvey._sky.tables import read_columns
-from rfpsurvey._sky.time import choose_epoch, epoch_text, to_time
+from rfpsurvey._sky.time import choose_epoch, epoch_text, moving, to_time
 from rfpsurvey.errors import InputError, RfpsurveyWarning, number_of, warn, warn_no_effect
 
 TOLERANCE_MM = 0.1
@@ -188,7 +188,7 @@ def project_rows(find, instrument, fibers, columns, units, *, center, position_a
             conditions = ObservingConditions.from_record(recorded["conditions"])
     catalog, there = _catalog(part, columns, units)
     of_catalog = form.EPOCH_OF_OBSERVATION and find.name_of("ra") == "ra"
-    if epoch is None and of_catalog and catalog.epoch is not None:
+    if epoch is None and of_catalog and catalog.epoch is not None and moving(catalog.coord).any():
         epoch = part.meta.get("epoch")
     used, moved = choose_epoch(catalog, epoch, None)
     catalog = catalog if used is None else catalog.at_epoch(used)

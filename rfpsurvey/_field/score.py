@@ -10,19 +10,22 @@ from astropy.table import Table
 from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.constraint import Constraint
+from rfpsurvey._assignment.constraints.targets import KeepOut
+from rfpsurvey._assignment.constraints.text import as_constraints
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._assignment.plugin import warn_of_parked
 from rfpsurvey._common.units import rows_of, to_flags, to_plain, to_radian
 from rfpsurvey._field.facts import build_tile
 from rfpsurvey._field.plan import find_all_collisions
 from rfpsurvey._field.plan_files import format_of, is_plan, plan_roles
+from rfpsurvey._field.plan_values import recorded_instrument, survey_entry
 from rfpsurvey._field.recorded import find_recorded, on_focal_plane, project_rows, read_positions, sentence_of
 from rfpsurvey._field.table import TableOfTile, status_of
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._field.verdicts import find_constraints
 from rfpsurvey._instruments.arms import place_arms
 from rfpsurvey._instruments.focal_plane import FocalPlane
-from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey._instruments.instrument import Instrument, as_instrument
 from rfpsurvey._instruments.reach import accepted_types
 from rfpsurvey._sky.columns import UNITS, Finder
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
@@ -46,7 +49,7 @@ def score_tile(
     conditions: ObservingConditions | None = None,
     columns: dict | None = None,
     units: dict | None = None,
-    parked_obstacles: bool = True,
+    parked_obstacles: bool | None = None,
     missing: str = "refuse",
     constraints: list | Constraint | str | None = None,
 ) -> Tile:
@@ -64,8 +67,8 @@ def score_tile(
         ``y``, ``x_wok``, ``tip_x``, ...) or on the sky. Rows without a positioner, and rows with 0 in the column
         ``assigned``, are ignored. The column names of plans that `~rfpsurvey.plans.read_plan` returned are recognized.
     instrument : Instrument or str, optional
-        Instrument, name of a preset, or path of a TOML file. By default, the preset with which a `Tile` was made; an
-        instrument that was changed, or is not a preset, must be given.
+        Instrument, name of a preset, or path of a TOML file. By default, the preset with which a `Tile` was made, or
+        the instrument in the file beside a plan that `Survey.export` wrote; any other instrument must be given.
     center : SkyCoord or str, optional
         Field center, as in `plan_tile`; by default it is read from the columns or meta entries ``racen`` and
         ``deccen`` of the table.
@@ -82,7 +85,8 @@ def score_tile(
         of many plans already refer to the observation; the entry ``epoch`` of the summary states this.
     positions : {"focal_plane", "sky"}, optional
         Whether to use the target positions on the focal plane or on the sky. By default, the positions on the focal
-        plane are used if the table contains them, except for a tile with ``constraints``.
+        plane are used if the table contains them, except for a tile with ``constraints`` and for plans that
+        `Survey.export` wrote, whose positions on the sky have more digits.
     conditions : ObservingConditions, optional
         Observing conditions, from which the refraction of positions on the sky is computed. By default, the conditions
         and the model of the projection that a tile or a plan of this package records are used; without recorded
@@ -92,12 +96,14 @@ def score_tile(
         ``x`` and ``y``. The columns of a DataFrame are in mm and deg unless ``units`` specifies other units.
     parked_obstacles : bool, optional
         Whether positioners without a target are obstacles for other arms: in their recorded pose or, if it is unknown
-        and both arms have equal lengths, in the parked pose.
+        and both arms have equal lengths, in the parked pose. The default is True, or the value with which the survey of
+        an exported plan was planned.
     missing : {"refuse", "skip"}, optional
         What to do if assigned rows have no position. By default, an error names these rows. With ``"skip"``, the other
         rows are scored, their positioners have no target, and a warning names the skipped rows.
     constraints : list of Constraint or str, optional
-        Constraints that are checked, as in `AllocationOptions`. Their obstacles count in the collisions.
+        Constraints that are checked, as in `AllocationOptions`. Their obstacles count in the collisions. The keep-out
+        circles that an exported plan records are always checked.
 
     Returns
     -------
@@ -136,7 +142,12 @@ def score_tile(
     instrument = preset_of(table) if instrument is None else as_instrument(instrument)
     knows_field = isinstance(table, Tile)
     table, is_plain = as_table(table.table if knows_field else table, index_as_id=False)
+    survey = survey_entry(table)
+    if parked_obstacles is None:
+        parked_obstacles = survey.get("parked_obstacles") != "False"
     parked_obstacles = check_switch(parked_obstacles, "parked_obstacles")
+    if isinstance(circles := survey.get("keep_out"), dict):
+        constraints = [*as_constraints(constraints), KeepOut.parse(" ".join(map(str, circles.values())))]
     columns, units = ({} if option is None else option for option in (columns, units))
     if is_plain and isinstance(units, dict):
         units = {**{role: str(unit) for role, unit in UNITS.items()}, **units}
@@ -157,7 +168,8 @@ def score_tile(
     find = Finder(part, columns, units)
     xy_names = [find.name_of(role) for role in ("x", "y")]
     if positions is None:
-        positions = "sky" if None in xy_names or (knows_field and constraints is not None) else "focal_plane"
+        is_of_sky = None in xy_names or bool(survey) or (knows_field and constraints is not None)
+        positions = "sky" if is_of_sky else "focal_plane"
     check_choice(positions, ("focal_plane", "sky"), "kind of positions")
     fibers, others = _fibers(find, plane, who), _without(find, name)
     ids = np.arange(len(part)) if (ids := others.labels("id")) is None else ids
@@ -232,17 +244,16 @@ def score_tile(
 
 
 def preset_of(tile: object) -> Instrument:
-    """Return the preset with which a tile was made; raise an error for other instruments, and for tables."""
+    """Return the instrument that a tile or a plan records; raise an error if it is not known."""
+    table = tile.table if isinstance(tile, Tile) else tile
+    if isinstance(table, Table) and (name := recorded_instrument(table)) is not None:
+        return as_instrument(name)
     if not isinstance(tile, Tile):
         raise InputError("instrument must be given, because a table does not contain its instrument, got none")
-    name = tile.instrument
-    preset = as_instrument(name) if name in available_instruments() else None
-    if preset is None or preset.provenance["digest"] != tile.provenance["instrument"].get("digest"):
-        raise InputError(
-            "instrument must be given, because the tile was not made with an unchanged preset, but with the "
-            f"instrument {name!r}, got none"
-        )
-    return preset
+    raise InputError(
+        "instrument must be given, because the tile was not made with an unchanged preset, but with the "
+        f"instrument {tile.instrument!r}, got none"
+    )
 
 
 def _fibers(find: Finder, plane: FocalPlane, who: np.ndarray) -> np.ndarray:

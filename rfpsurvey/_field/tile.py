@@ -14,7 +14,7 @@ from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import COPIED, describe, plot, show, to_html
 from rfpsurvey._common.read_tables import read_table
-from rfpsurvey._field.plan_files import write_plan
+from rfpsurvey._field.plan_files import find_instrument_file, write_plan
 from rfpsurvey._field.table import (
     OUTCOMES_COLUMNS,
     TILE_COLUMNS,
@@ -232,7 +232,7 @@ class Tile:
         InputError
             If the file does not exist or does not contain a tile.
         """
-        table = read_table(path)
+        find_instrument_file(table := read_table(path), _io.to_path(path))
         try:
             table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
             has_target = np.isin(table["status"], ("assigned", "out_of_reach"))

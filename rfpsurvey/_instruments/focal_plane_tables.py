@@ -10,7 +10,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
-from rfpsurvey._common.units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_radian, to_unit
+from rfpsurvey._common.units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_unit
 from rfpsurvey._instruments.margins import Margins, check_margins, to_polygons
 from rfpsurvey._instruments.outline import ArmOutline
 from rfpsurvey._instruments.positioner import Positioner
@@ -288,14 +288,14 @@ def to_table(plane) -> QTable:
             f"fiber_{axis}" + (f"_{name}" if name else ""): v
             for axis, v in zip("xy", to_mm(places, name).T, strict=True)
         }
-    angles = {"stuck_theta": plane.arrays.stuck[:, 0], "stuck_phi": plane.arrays.stuck[:, 1]}
+    angles = dict(zip(("stuck_theta", "stuck_phi"), np.rad2deg(plane.arrays.stuck).T, strict=True))
     for name, values in lengths.items():
         table[name] = np.append(values, np.full(m, np.nan)) * u.mm
     for name, (low, high) in JOINTS.items():
         if getattr(plane, name) is not None:
-            angles |= dict(zip((low, high), to_radian(getattr(plane, name), name).T, strict=True))
-    for name, values in angles.items():
-        table[name] = np.rad2deg(np.append(values, np.full(m, np.nan))) * u.deg
+            angles |= dict(zip((low, high), to_unit(getattr(plane, name), u.deg, name).T, strict=True))
+    for name, values in angles.items():  # angles that were given in degrees are stored exactly
+        table[name] = np.append(values, np.full(m, np.nan)) * u.deg
     for name, rows in {"obstacles": slice(n, n + k), "hidden": slice(n + k, n + m)}.items():
         if name == "obstacles" or plane.hidden is not None:
             radius = np.full(n + m, np.nan)

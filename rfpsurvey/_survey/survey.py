@@ -163,6 +163,58 @@ class Survey(Living):
             raise InputError(f"the survey has no tile {tile}; its tiles have names such as {self.tiles['tile'][0]}")
         return self._visits(int(rows[0]))
 
+    def export(
+        self,
+        tiles: int | str | list | None = None,
+        *,
+        format: str = "table",  # noqa: A002
+        output: str | os.PathLike = ".",
+        instrument: object = None,
+        overwrite: bool = False,
+        progress: object = False,
+    ) -> QTable:
+        """Write tiles to files of plans, one file for each tile, which `~rfpsurvey.plans.read_plan` reads.
+
+        Each file contains the field center, the position angle and the observing conditions of the tile, and the
+        generation of its plan. The poses and collisions of each tile are computed again from its visits, and compared
+        with those of the survey. If the instrument is not a preset, it is also written to the folder ``output``, and
+        `~rfpsurvey.score_tile` uses it for the plans in this folder.
+
+        Parameters
+        ----------
+        tiles : int, str or list, optional
+            Identifiers of tiles, or text such as ``"12-20,31"``, in which a range contains all tiles with numbers
+            between its ends. By default, all tiles that have a plan.
+        format : str, optional
+            Name of the format, as in `~rfpsurvey.plans.write_plan`, or ``table`` for files that `Tile.read
+            <rfpsurvey.Tile>` reads.
+        output : str or path-like, optional
+            Folder of the files, which is made if it does not exist.
+        instrument : Instrument or str, optional
+            The instrument of the survey, if its plan file does not determine it.
+        overwrite : bool, optional
+            Whether to replace existing files.
+        progress : bool or callable, optional
+            Whether to show the progress, as in `plan_survey`.
+
+        Returns
+        -------
+        QTable
+            Table with a row for each file: ``tile``, ``file``, ``n_positioners``, ``n_assigned``, ``n_colliding`` and
+            ``unmet``. ``meta["left_out"]`` contains the tiles that were left out, with the reasons.
+
+        Raises
+        ------
+        InputError
+            If the survey has no folder, if a tile is unknown, or if a file exists and ``overwrite`` is False. If
+            ``tiles`` are given, also if a tile has no plan, or if its collisions are not those of the survey, because
+            it was planned with another state of the instrument. No file of a tile is written then.
+        """
+        from rfpsurvey._survey.export import export  # the module imports this one
+
+        options = {"instrument": instrument, "overwrite": overwrite, "progress": progress}
+        return export(self, tiles, format=format, folder=output, **options)
+
     def __iter__(self) -> Iterator[QTable]:
         return (self._visits(k) for k in range(len(self.tiles)))
 

@@ -21,7 +21,7 @@ from astropy.coordinates import SkyCoord
 import rfpsurvey as rs
 import sdssv_files
 from rfpsurvey import plans
-from rfpsurvey._cli.tile import convert
+from rfpsurvey._cli.export import convert
 from valid_files import Sample, content, count_fits, count_lines
 
 FIELD = SkyCoord(150 * u.deg, -2 * u.deg)

@@ -4,6 +4,7 @@ import json
 from dataclasses import replace
 
 import astropy.units as u
+import numpy as np
 import pytest
 from astropy.table import QTable, Table
 from raising import refused
@@ -38,6 +39,17 @@ def test_states_margins_and_distortion_maps_are_restored_exactly(tmp_path):
         assert found.provenance == instrument.provenance, what
         assert found.focal_plane.margins == instrument.focal_plane.margins
         assert not found.focal_plane.arrays.usable[[3, 5]].any()
+
+
+def test_angles_in_degrees_are_restored_exactly(tmp_path):
+    """Regression: zero points and joint limits were converted to radians and back, with rounding errors."""
+    rng, unit = np.random.default_rng(2), rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
+    plane = rs.FocalPlane.hexagonal(unit, rings=4, pitch=25.6 * u.mm)
+    zeros, ends = rng.uniform(-90, 90, (2, len(plane), 2)) * u.deg
+    plane = replace(plane, zero_points=zeros, phi_range=np.sort(ends, axis=1) + [0, 90] * u.deg)
+    instrument = rs.Instrument("tiny", plane, plate_scale=200 * u.mm / u.deg)
+    instrument.write(tmp_path / "instrument.ecsv")
+    assert rs.Instrument.read(tmp_path / "instrument.ecsv").provenance == instrument.provenance
 
 
 def test_the_path_is_checked(tmp_path):

@@ -1,10 +1,13 @@
 """Formats of plans of other packages: the example of the page on plugins, and formats that are not complete."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 from textwrap import dedent
 
 import astropy.units as u
+import living
+import numpy as np
 import pytest
 from raising import refused
 
@@ -36,6 +39,16 @@ def test_plans_of_the_example_are_written_read_and_scored(laboratory, presets, t
     rs.plans.write_plan(plan, tmp_path / "plan.ecsv")
     assert rs.plans.recognize_plan(tmp_path / "plan.ecsv") == "table"
     refused("plan.lab", rs.plans.write_plan, plan, path)
+
+
+def test_surveys_are_exported_in_the_format_of_the_example(laboratory, tmp_path):
+    sky = replace(living.targets(), kind=np.full(living.N, "science+sky"))
+    survey = rs.plan_survey(sky, "moons", living.tiling(n=2), folder=tmp_path / "plan")
+    with pytest.warns(rs.RfpsurveyWarning, match=r"without .* \(2 files, such as tile-11.lab\)") as caught:
+        table = survey.export(format="lab", output=tmp_path)
+    assert len(caught) == 1
+    assert table["file"].tolist() == ["tile-11.lab", "tile-12.lab"]
+    assert rs.plans.read_plan(tmp_path / "tile-12.lab")["assigned"].sum() == len(survey.tile(12)) > 0
 
 
 HOOKS = """

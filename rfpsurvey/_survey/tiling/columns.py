@@ -186,13 +186,15 @@ def convert_when(table: QTable, tile: np.ndarray) -> None:
 
 def conditions_of_tiles(tiling: "Tiling") -> list[ObservingConditions] | None:
     """Return the observing conditions of each tile, or None if the tiling has no conditions."""
-    common = tiling.conditions
-    if common is None:
-        return None
-    name = when_of(tiling.table)
+    return None if tiling.conditions is None else conditions_of_rows(tiling.conditions, tiling.table)
+
+
+def conditions_of_rows(common: ObservingConditions, table: QTable) -> list[ObservingConditions]:
+    """Return the common conditions with the time or the hour angle of each row of a table of tiles."""
+    name = when_of(table)
     if name is None:
-        return [common] * len(tiling)
-    values = _read_times(tiling) if name == "time" else tiling.table[name]
+        return [common] * len(table)
+    values = _read_times(table) if name == "time" else table[name]
     return [replace(common, **{**dict.fromkeys(WHEN), name: value}) for value in values]
 
 
@@ -211,7 +213,7 @@ def times_of_tiles(tiling: "Tiling", *, dates: bool = True) -> Time | None:
     common = tiling.conditions
     name = None if common is None else when_of(tiling.table)
     if name == "time":
-        return _read_times(tiling)
+        return _read_times(tiling.table)
     if common is not None and common.time is not None and name is None:
         return common.time + np.zeros(len(tiling)) * u.s
     return _dates_of(tiling) if dates else None
@@ -291,11 +293,11 @@ class FieldsOfTiles:
         return 0.0 if self.years is None else float(np.abs(self.years).max()) * self.source.fastest_rad
 
 
-def _read_times(tiling: "Tiling") -> Time:
-    """Return the times in the column ``time`` of the table of tiles."""
+def _read_times(table: QTable) -> Time:
+    """Return the times in the column ``time`` of a table of tiles."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        return Time(np.asarray(tiling.table["time"]), scale="utc")
+        return Time(np.asarray(table["time"]), scale="utc")
 
 
 def _times(column, tile) -> np.ndarray:
