@@ -53,7 +53,10 @@ def measured(objective, seconds, catalog, pfs, tiles):
 def print_peer(seconds, peer_seconds, catalog, pfs, tiles):
     """Print the bounds and times of a joint plan and of a plan of netflow, and what the judge counts."""
     sys.path.append(str(Path(__file__).parent / "planners"))
-    import pfs_netflow
+    try:
+        import pfs_netflow
+    except ImportError as error:
+        raise SystemExit(error) from None
     from scene import scene_of
 
     xy = pfs.projection(CENTER).to_focal_plane(catalog.coord)
