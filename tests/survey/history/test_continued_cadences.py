@@ -13,6 +13,7 @@ from naive_cadences import TABLE
 
 import rfpsurvey as rs
 from rfpsurvey._survey import run
+from rfpsurvey._survey.history.dated import observed_time
 from rfpsurvey._survey.work import work
 from rfpsurvey.survey import Cadences
 
@@ -32,6 +33,15 @@ def folder(tmp_path):
     rows = [(tiling.table["tile"][k], text(days[k]), "done") for k in np.argsort(days)[:4]]
     survey.record(Table(rows=rows, names=["tile", "date", "state"]))
     return tmp_path / "plan", tiling, catalog
+
+
+@pytest.mark.parametrize(
+    ("date", "time"),
+    [("2023-02-25", 60000.3), ("2023-02-24", 60000.3), ("2023-02-23", 59998.3), ("2023-02-26", 60001.3), ("", 60000.3)],
+)
+def test_a_tile_was_observed_as_planned_if_the_date_is_that_of_its_time_or_of_its_night(date, time):
+    """MJD 60000 is 2023-02-25."""
+    assert observed_time(date, 60000.3) == pytest.approx(time, abs=1e-9)
 
 
 def test_the_plan_of_the_rest_does_not_depend_on_workers_and_interruptions(folder, monkeypatch):
