@@ -2,8 +2,10 @@
 
 from dataclasses import replace
 
+import astropy.units as u
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from joint_program import counts_by_tile, finished_by_class, program_of, survey_with, with_finished
 
@@ -107,3 +109,21 @@ def test_a_stored_survey_is_the_same_and_can_be_planned_again(tmp_path):
     replanned = survey.replan()
     done = (np.asarray(replanned.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)
     assert done.sum() >= ((np.asarray(survey.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)).sum()
+
+
+def test_idle_arms_are_obstacles():
+    """The numbers of the search are those of the tiles, also where the arm of an omitted visit would be in the way."""
+    pfs = rs.Instrument.preset("pfs")
+    xy = pfs.focal_plane.xy[np.argsort(np.hypot(*pfs.focal_plane.xy.T))[:400]]
+    pfs = replace(pfs, focal_plane=rs.FocalPlane(xy, pfs.focal_plane.positioner))
+    rng, center = np.random.default_rng(23), SkyCoord("10h +20d")
+    radius = np.hypot(*xy.T).max() + 4.75 * u.mm
+    r, angle = radius * np.sqrt(rng.random(1000)), 2 * np.pi * rng.random(1000)
+    sky = pfs.projection(center).to_sky(np.stack([r * np.cos(angle), r * np.sin(angle)], axis=-1))
+    catalog = rs.Catalog(sky, visits=rng.choice([1, 2, 3], 1000, p=[0.4, 0.3, 0.3]))
+    tiles = QTable({"ra": [150, 150, 150] * u.deg, "dec": [20, 20, 20] * u.deg, "pass": [1, 2, 3]})
+    survey = rs.plan_survey(catalog, pfs, tiles, allocator=rs.JointOptions(objective="finished", iterations=1))
+    done = np.asarray(survey.outcomes["observed"]) >= catalog.visits
+    level = survey.summary["joint"]["levels"][0]
+    assert (level["n_complete"], survey.summary["n_colliding"]) == (done.sum(), 0)
+    assert level["n_visits"] == survey.summary["n_visits_observed"]

@@ -28,19 +28,21 @@ class EqualTiles:
             rows = np.unique(mine.indices, return_inverse=True)[1]
             key = (starts, network.target[part], network.side[part], mine.indptr, rows)
             tiles.setdefault(tuple(values.tobytes() for values in key), []).append(k)
+        self.first, self.groups = first, list(tiles.values())
         self.rows = np.concatenate([np.arange(first[same[0]], first[same[0] + 1]) for same in tiles.values()])
         self.times = np.concatenate([np.full(first[k[0] + 1] - first[k[0]], len(k)) for k in tiles.values()])
 
-    def bound(self, level: int, deadline: float, shares: Shares | None = None) -> float:
-        """Return an upper bound of the values of the targets of the classes up to a level.
+    def solve(self, weights: np.ndarray, deadline: float, shares: Shares | None = None) -> tuple[float, np.ndarray]:
+        """Return an upper bound, and whether the solution uses each candidate in a tile or in an equal one.
 
-        With ``shares``, return an upper bound of the smallest finished fraction of the categories.
+        The bound is that of the sum of the values, with a weight of each class, or of the smallest finished fraction.
         """
         network, steps, times, rows = self.network, self.steps, self.times.astype(float), self.rows
         real = network.rank[rows] < network.n_classes
         able = np.bincount(network.target[rows[real]], self.times[real], len(network.slot))
-        keep = (network.rank_of_target[steps.target] <= level) & (steps.number <= able[steps.target])
-        value, needed = steps.value[keep], steps.number[keep].astype(float)
+        weight = np.append(weights, 0.0)[network.rank_of_target[steps.target]]
+        keep = (weight > 0) & (steps.number <= able[steps.target])
+        value, needed = (weight * steps.value)[keep], steps.number[keep].astype(float)
         goals, goal = np.unique(steps.target[keep], return_inverse=True)
         place = np.full(len(network.slot) + 1, -1)
         place[goals] = np.arange(len(goals))
@@ -72,11 +74,34 @@ class EqualTiles:
             objective, most = np.append(0.0 * objective, 1.0), np.append(most, UNITS / shares.weight.min())
         program = matrix, np.full(len(high), -np.inf), high
         limits = {"gap": 0.0, "presolve": True, "nodes": int(EFFORT / max(n + q, 1))}
-        _, bound = maximize(program, objective, most, deadline, integral=True, **limits)
-        bound = with_errors(bound, n + q)
-        return bound if shares is None else (bound + 1.0) / UNITS
+        x, bound = maximize(program, objective, most, deadline, integral=True, **limits)
+        bound, is_used = with_errors(bound, n + q), np.zeros(len(network.target), dtype=bool)
+        if x is not None:
+            is_used[rows] = x[:n] > 0.5
+        for same in self.groups:
+            begin, size = self.first[same[0]], self.first[same[0] + 1] - self.first[same[0]]
+            for k in same[1:]:
+                is_used[self.first[k] : self.first[k + 1]] = is_used[begin : begin + size]
+        return bound if shares is None else (bound + 1.0) / UNITS, is_used
 
 
 def _largest(matrix, values):
     """Return the largest value of the columns of each row of a matrix."""
     return np.maximum.reduceat(values[matrix.indices], matrix.indptr[:-1]) if matrix.shape[0] else np.zeros(0)
+
+
+def without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
+    """Return a plan without candidates of targets that collide with others."""
+    n = network.n_cliques
+    while True:
+        used = np.bincount(chosen, minlength=len(network.target)).astype(float)
+        full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
+        bad = (network.matrix[:n].T @ full > 0) & (used > 0) & (network.rank < network.n_classes)
+        bad &= (np.diff(network.start) > 1)[network.positioner]
+        if not bad.any():
+            return chosen
+        # only some of the targets of the lowest class, because the others may no longer collide
+        bad &= network.rank == network.rank[bad].max()
+        rows = network.positioner[np.flatnonzero(bad)[::2]]
+        chosen = chosen.copy()
+        chosen[rows] = network.start[rows + 1] - 1

@@ -98,7 +98,8 @@ class Exposures:
         needed, rank = self.needed[self.slots], self.class_of[self.slots]
         order = np.lexsort((rng.random(len(needed)), needed, np.zeros(len(needed)) + first, rank))
         uses, finished = np.zeros(len(self.fiber), np.int64), np.zeros(len(needed), dtype=bool)
-        state = self._pairs, uses, room, finished
+        pairs = self._pairs._replace(most=self._pairs.most.copy())
+        state, best = (pairs, uses, room, finished), None
         for turn in range(ROUNDS):
             for _ in range(2):  # the first time omits some targets that can be finished
                 self._add_targets(order, shares, state)
@@ -107,11 +108,15 @@ class Exposures:
             placed = np.concatenate([schedule[0].ravel() for schedule in schedules])
             placed = np.bincount(placed[placed >= 0], minlength=len(self.needed))[self.slots]
             lost = finished & (placed < needed)
+            value = self._value(finished & ~lost, shares)
+            if best is None or value > best[0]:
+                best = value, schedules, finished & ~lost
             if turn == ROUNDS - 1 or not lost.any():
                 break
             gone = np.flatnonzero(lost[self.target] & (uses > 0))
             np.add.at(room, self.fiber[gone], uses[gone])
-            uses[gone], self._pairs.most[bad], finished[lost] = 0, 0, False
+            uses[gone], pairs.most[bad], finished[lost] = 0, 0, False
+        _, schedules, finished = best
         listed = np.zeros(len(self.needed), dtype=bool)
         listed[self.slots[finished]] = True
         rest, result = rng.permutation(self.slots[~finished]), list(plans)
@@ -124,6 +129,15 @@ class Exposures:
                 slots = np.where(is_closed, plans[tile].slot, slot[k])
                 result[tile] = TilePlan(slots, np.where(is_closed, plans[tile].side, side[k]).astype(np.int8))
         return result, listed
+
+    def _value(self, finished: np.ndarray, shares: Shares | None) -> tuple:
+        """Return the values of finished targets in the order of their importance."""
+        by_class = np.bincount(self.class_of[self.slots[finished]], minlength=self.n_classes).tolist()
+        if shares is None:
+            return tuple(by_class)
+        is_done = self.is_finished.copy()
+        is_done[self.slots[finished]] = True
+        return *np.sort(np.round(shares.fractions(shares.count(is_done)), 9)).tolist(), *by_class
 
     def _add_targets(self, order: np.ndarray, shares: Shares | None, state: tuple) -> None:
         """Finish further targets in an order, first such that the finished fractions are balanced."""

@@ -7,6 +7,7 @@ number that it requires. The program for all tiles also gives an upper bound.
 """
 
 from concurrent.futures import Executor
+from dataclasses import replace
 from functools import cached_property
 from time import time
 
@@ -17,7 +18,7 @@ from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.weighted import WeightedProblem, solve_weighted
 from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
-from rfpsurvey._survey.joint.equal_tiles import EqualTiles
+from rfpsurvey._survey.joint.equal_tiles import EqualTiles, without_collisions
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
 from rfpsurvey._survey.joint.shares import solve_balanced
@@ -66,7 +67,7 @@ class FinishedSearch(WindowSearch):
         super().__init__(network, self._without_surplus(plans[0]), request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
         for plan in plans[1:]:
-            plan = _without_collisions(network, plan)
+            plan = without_collisions(network, plan)
             keeps = (network.sums(plan) <= self.limits + path_kernels.TOLERANCE).all()
             if keeps and self._value(plan) > self._value(self.chosen):
                 self._use(plan)
@@ -222,20 +223,40 @@ class FinishedSearch(WindowSearch):
                 self.bound_of_smallest = min(self.bound_of_smallest, bound)
 
     def _bound_together(self) -> None:
-        """Find a smaller upper bound for each level with a gap, by a program in which equal tiles are one tile."""
-        network = self.network
+        """Find smaller upper bounds by programs in which equal tiles are one tile, and plans from their solutions."""
+        network, shares = self.network, self._all_shares
         if not self._is_complete and self._exposures is None:
             return
-        together, shares = self._exposures, self._all_shares
-        if together is None:
-            together, shares = EqualTiles(network, self.worth), self.shares
-        if shares is not None and not self.out_of_time():
-            end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / 2
-            bound = together.bound(network.n_classes - 1, end, shares)
-            self.bound_of_smallest = min(self.bound_of_smallest, bound)
-        for k in np.flatnonzero(self._is_open):
-            if not self.out_of_time():
-                self._lower(k, together.bound(self.levels[k], now() + FOR_ALL * min(self._limit - self.seconds, 1e9)))
+        programs = {k: (np.arange(network.n_classes) <= level) * 1.0 for k, level in enumerate(self.levels)}
+        programs = {-1: self._class_weights(), **programs} if network.n_classes > 1 or shares is not None else programs
+        together = None if self._exposures is not None else EqualTiles(network, self.worth)
+        for k, weights in programs.items():
+            if self.out_of_time() or not (self._is_open[k] if k >= 0 else shares is not None or self._is_open.any()):
+                continue
+            end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / (1 if k >= 0 else 2)
+            given = shares if k < 0 else None
+            if together is None:
+                bound, is_used = np.inf, None
+                if k >= 0 or shares is not None:
+                    bound = self._exposures.bound(self.levels[k], end, given)
+            else:
+                bound, is_used = together.solve(weights, end, given if given is None else self.shares)
+            if k >= 0:
+                self._lower(k, bound)
+            elif shares is not None:
+                self.bound_of_smallest = min(self.bound_of_smallest, bound)
+            if is_used is not None and (k < 0 or len(programs) == 1):
+                self._solve_among(is_used, weights)
+
+    def _solve_among(self, is_used: np.ndarray, weights: np.ndarray) -> None:
+        """Improve the plan by a program for all tiles with only a part of the candidates."""
+        network = self.network
+        some = replace(network, usable=network.usable & (is_used | (network.rank >= network.n_classes)))
+        patches = Patches(some, np.zeros(len(network.start) - 1, dtype=np.int64))
+        deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
+        nodes = int(EFFORT / max(np.count_nonzero(some.usable), 1))
+        problem = self._program(patches, 0, weights, deadline, nodes, of_visits=0.0)
+        self._take(patches.members[0], problem, solve_weighted(problem[1])[0])
 
     def _solve_patches(self, executor) -> None:
         """Improve the plan by integer programs for patches; those that share no set are solved at the same time."""
@@ -265,7 +286,7 @@ class FinishedSearch(WindowSearch):
         ratio = min(float(len(self.network.slot)), STEEPEST ** (1.0 / max(n - 1, 1)))
         return ratio ** np.arange(n - 1, -1, -1.0)
 
-    def _program(self, patches, k, weights, deadline, nodes):
+    def _program(self, patches, k, weights, deadline, nodes, of_visits=OF_VISITS):
         """Return the candidates of a patch, the program that finishes targets by its visits, and these targets."""
         network, n_classes = self.network, self.network.n_classes
         load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
@@ -294,7 +315,7 @@ class FinishedSearch(WindowSearch):
         gain = np.zeros(q + m)
         gain[column] = weights[network.rank_of_target[of_step]] * (steps.value[open_steps] - before[of_step])
         unit = self.worth.smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
-        tie = OF_VISITS * unit / max(len(problem.start) - 1, 1)
+        tie = of_visits * unit / max(len(problem.start) - 1, 1)
         weight = np.append(
             np.where(target >= 0, tie * weights[np.minimum(network.rank[rows], n_classes - 1)] / weights.max(), 0.0),
             gain,
@@ -304,7 +325,7 @@ class FinishedSearch(WindowSearch):
         start = np.append(problem.start, n + ends)
         reached = np.bincount(goal[steps.number[open_steps] <= (outside + there)[of_step]], minlength=m)
         first = np.append(problem.first, n + ends - 1 - number + np.where(reached > 0, reached - 1, number))
-        gap = 0.5 * tie / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1e-12)
+        gap = 0.5 * (tie or 0.5 * unit) / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1e-12)
         most = np.append(problem.most, np.zeros(m))
         return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline), goals
 
@@ -339,9 +360,16 @@ class FinishedSearch(WindowSearch):
         rows = rows[np.argsort(network.target[chosen[rows]], kind="stable")]
         target = network.target[chosen[rows]]
         rows = rows[np.arange(len(rows)) - np.searchsorted(target, target) < surplus[target]]
-        result = chosen.copy()
+        result, n = chosen.copy(), network.n_cliques
         result[rows] = network.start[rows + 1] - 1
-        return result
+        while True:  # visits remain where the idle arm would collide with others
+            used = np.bincount(result, minlength=len(network.target)).astype(float)
+            full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
+            kept = rows[(network.matrix[:n].T @ full)[result[rows]] > 0]
+            if len(kept) == 0:
+                return result
+            result[kept] = chosen[kept]
+            rows = np.setdiff1d(rows, kept)
 
     @property
     def record(self) -> dict:
@@ -367,20 +395,3 @@ class FinishedSearch(WindowSearch):
         visits = np.where(network.rank_of_target < network.n_classes, network.visits - left, 0)
         self._done = np.column_stack([self._counts_of_targets()[:, 0], visits])
         self._record()
-
-
-def _without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
-    """Return a plan without candidates of targets that collide with others."""
-    n = network.n_cliques
-    while True:
-        used = np.bincount(chosen, minlength=len(network.target)).astype(float)
-        full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
-        bad = (network.matrix[:n].T @ full > 0) & (used > 0) & (network.rank < network.n_classes)
-        bad &= (np.diff(network.start) > 1)[network.positioner]
-        if not bad.any():
-            return chosen
-        # only some of the targets of the lowest class, because the others may no longer collide
-        bad &= network.rank == network.rank[bad].max()
-        rows = network.positioner[np.flatnonzero(bad)[::2]]
-        chosen = chosen.copy()
-        chosen[rows] = network.start[rows + 1] - 1
