@@ -88,20 +88,3 @@ class EqualTiles:
 def _largest(matrix, values):
     """Return the largest value of the columns of each row of a matrix."""
     return np.maximum.reduceat(values[matrix.indices], matrix.indptr[:-1]) if matrix.shape[0] else np.zeros(0)
-
-
-def without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
-    """Return a plan without candidates of targets that collide with others."""
-    n = network.n_cliques
-    while True:
-        used = np.bincount(chosen, minlength=len(network.target)).astype(float)
-        full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
-        bad = (network.matrix[:n].T @ full > 0) & (used > 0) & (network.rank < network.n_classes)
-        bad &= (np.diff(network.start) > 1)[network.positioner]
-        if not bad.any():
-            return chosen
-        # only some of the targets of the lowest class, because the others may no longer collide
-        bad &= network.rank == network.rank[bad].max()
-        rows = network.positioner[np.flatnonzero(bad)[::2]]
-        chosen = chosen.copy()
-        chosen[rows] = network.start[rows + 1] - 1

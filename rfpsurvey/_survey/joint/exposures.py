@@ -15,6 +15,7 @@ from rfpsurvey._assignment.solver import maximize, with_errors
 from rfpsurvey._assignment.weighted import TileCandidates
 from rfpsurvey._kernels import exposures as kernels
 from rfpsurvey._survey.joint.fixed import TilePlan
+from rfpsurvey._survey.joint.network import Network
 from rfpsurvey._survey.joint.shares import UNITS, Shares
 from rfpsurvey._survey.work import reach_of
 
@@ -305,3 +306,24 @@ def _columns(tile: TileCandidates) -> tuple[np.ndarray, np.ndarray]:
 def _starts(index: np.ndarray, n: int) -> np.ndarray:
     """Return where the rows 0 to n begin in an array of row numbers after it is sorted."""
     return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
+
+
+def colliding(network: Network, chosen: np.ndarray) -> np.ndarray:
+    """Return whether each positioner collides with another one if a plan is used."""
+    n = network.n_cliques
+    used = np.bincount(chosen, minlength=len(network.target)).astype(float)
+    full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
+    return (network.matrix[:n].T @ full)[chosen] > 0
+
+
+def without_collisions(network: Network, chosen: np.ndarray) -> np.ndarray:
+    """Return a plan without candidates of targets that collide with others."""
+    chosen, can_change = chosen.copy(), np.diff(network.start) > 1
+    while True:
+        rank = network.rank[chosen]
+        bad = np.flatnonzero(colliding(network, chosen) & (rank < network.n_classes) & can_change)
+        if len(bad) == 0:
+            return chosen
+        # only some of the targets of the lowest class, because the others may no longer collide
+        rows = bad[rank[bad] == rank[bad].max()][::2]
+        chosen[rows] = network.start[rows + 1] - 1

@@ -18,7 +18,8 @@ from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.weighted import WeightedProblem, solve_weighted
 from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
-from rfpsurvey._survey.joint.equal_tiles import EqualTiles, without_collisions
+from rfpsurvey._survey.joint.equal_tiles import EqualTiles
+from rfpsurvey._survey.joint.exposures import colliding, without_collisions
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
 from rfpsurvey._survey.joint.shares import solve_balanced
@@ -33,8 +34,8 @@ SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
 NODES, EFFORT, STEEPEST = 100, 2e6, 1e4
 # Relative rounding error of a bound of values that are not whole numbers.
 ROUNDING = 1e-6
-# Fraction of the remaining time for the programs of all tiles.
-FOR_ALL = 0.8
+# Fraction of the remaining time for the programs of all tiles; largest gap with which they are solved before patches.
+FOR_ALL, LITTLE = 0.8, 0.005
 
 
 class FinishedSearch(WindowSearch):
@@ -45,8 +46,7 @@ class FinishedSearch(WindowSearch):
     network : Network
         The candidates of all tiles, or of chosen targets.
     plans : tuple of ndarray
-        Plans, that is, the candidate of each positioner; the search starts with the best plan that keeps all limits of
-        the first one.
+        Candidates of all positioners; the search starts with the best plan that keeps all limits of the first one.
     request : Request
         The request of the survey.
     directions : ndarray
@@ -119,9 +119,8 @@ class FinishedSearch(WindowSearch):
         network, n_tiles = self.network, len(self.request.tiling)
         positioner, target = network.pairs
         tile = np.repeat(np.arange(n_tiles), np.diff(network.first))[positioner]
-        number = np.bincount(
-            np.unique(target.astype(np.int64) * n_tiles + tile) // n_tiles, minlength=len(network.slot)
-        )
+        places = np.unique(target.astype(np.int64) * n_tiles + tile)
+        number = np.bincount(places // n_tiles, minlength=len(network.slot))
         if per_visit:
             return self._by_level(np.minimum(number, self._wanted))
         return self._by_level(self.worth.base + self.worth.value_of(self.worth.reached(self._fixed + number)))
@@ -159,7 +158,8 @@ class FinishedSearch(WindowSearch):
         elif self.shares is not None:
             self._balance(is_small)
         elif (self.gaps > self.options.gap).any():
-            self._solve_patches(executor)
+            if not is_small or (self.gaps > LITTLE).any():
+                self._solve_patches(executor)
             if is_small:
                 self._solve_all()
         self.iteration += 1
@@ -168,17 +168,12 @@ class FinishedSearch(WindowSearch):
     @property
     def _is_open(self) -> np.ndarray:
         """Whether each level has a gap that is larger than rounding errors."""
-        return self.counts[:, 0] < self.bounds_complete - (0.0 if self._is_whole else ROUNDING * self.bounds_complete)
+        return self.counts[:, 0] < self.bounds_complete - (0.0 if self.worth.is_whole else ROUNDING * self.bounds_complete)
 
     def _lower(self, k: int, bound: float) -> None:
         """Use a bound of the values of a level, without the values before all tiles, if it is smaller."""
         bound += self._by_level(self.worth.base)[k]
-        self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound) if self._is_whole else bound)
-
-    @cached_property
-    def _is_whole(self) -> bool:
-        """Whether all values are whole numbers."""
-        return bool((self.worth.value % 1 == 0).all() and (self.worth.base % 1 == 0).all())
+        self.bounds_complete[k] = min(self.bounds_complete[k], np.floor(bound) if self.worth.is_whole else bound)
 
     def _solve_all(self) -> None:
         """Find the best plan, and an upper bound for each level with a gap, by integer programs for all tiles."""
@@ -249,14 +244,24 @@ class FinishedSearch(WindowSearch):
                 self._solve_among(is_used, weights)
 
     def _solve_among(self, is_used: np.ndarray, weights: np.ndarray) -> None:
-        """Improve the plan by a program for all tiles with only a part of the candidates."""
-        network = self.network
-        some = replace(network, usable=network.usable & (is_used | (network.rank >= network.n_classes)))
-        patches = Patches(some, np.zeros(len(network.start) - 1, dtype=np.int64))
-        deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
-        nodes = int(EFFORT / max(np.count_nonzero(some.usable), 1))
-        problem = self._program(patches, 0, weights, deadline, nodes, of_visits=0.0)
-        self._take(patches.members[0], problem, solve_weighted(problem[1])[0])
+        """Improve the plan by programs for all tiles with a part of the candidates, those that equal tiles use."""
+        network, whole = self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64)
+        is_used = is_used | (network.rank >= network.n_classes)
+        for _ in range(2):
+            some = replace(network, usable=network.usable & is_used)
+            deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
+            nodes = int(EFFORT / max(np.count_nonzero(some.usable), 1))
+            problem = self._program(Patches(some, whole), 0, weights, deadline, nodes, of_visits=0.0)
+            self._take(np.arange(len(whole)), problem, solve_weighted(problem[1])[0])
+            if not self._is_open.any():
+                break
+            # then also all candidates of the positioners that reach targets that are still not finished
+            lost = np.zeros(len(network.slot) + 1, dtype=bool)
+            lost[network.target[is_used]] = True
+            lost[:-1] &= self._counts_of_targets()[:, 1] == 0
+            near = np.zeros(len(whole), dtype=bool)
+            near[network.positioner[lost[network.target] & (network.rank < network.n_classes)]] = True
+            is_used = is_used | near[network.positioner]
 
     def _solve_patches(self, executor) -> None:
         """Improve the plan by integer programs for patches; those that share no set are solved at the same time."""
@@ -360,12 +365,10 @@ class FinishedSearch(WindowSearch):
         rows = rows[np.argsort(network.target[chosen[rows]], kind="stable")]
         target = network.target[chosen[rows]]
         rows = rows[np.arange(len(rows)) - np.searchsorted(target, target) < surplus[target]]
-        result, n = chosen.copy(), network.n_cliques
+        result = chosen.copy()
         result[rows] = network.start[rows + 1] - 1
         while True:  # visits remain where the idle arm would collide with others
-            used = np.bincount(result, minlength=len(network.target)).astype(float)
-            full = (network.matrix[:n] @ used > network.most[:n]).astype(float)
-            kept = rows[(network.matrix[:n].T @ full)[result[rows]] > 0]
+            kept = rows[colliding(network, result)[rows]]
             if len(kept) == 0:
                 return result
             result[kept] = chosen[kept]

@@ -89,6 +89,11 @@ class Steps(NamedTuple):
         return np.where(reached > 0, np.append(self.number, 0)[self.indptr[:-1] + reached - 1], 0)
 
     @property
+    def is_whole(self) -> bool:
+        """Whether all values are whole numbers."""
+        return bool((self.value % 1 == 0).all() and (self.base % 1 == 0).all())
+
+    @property
     def smallest_gain(self) -> float:
         """Smallest difference between the values of two steps of a target, at most 1."""
         is_first = np.append(-1, self.target[:-1]) != self.target if len(self.target) else np.empty(0, dtype=bool)
