@@ -3,14 +3,16 @@
 Run ``python tests/benchmarks/finished_figures.py``, which takes about ten minutes. With ``--share``, it prints the
 finished fractions of three categories with and without shares. With ``--peer``, it plans each scene also with netflow,
 the planner of PFS (``planners/pfs_netflow.py`` states how to install it), with a time limit of ``--peer-seconds``.
-``planners/judge.py`` counts the finished targets of both plans; visits by fibers that collide do not count.
+``planners/judge.py`` counts the finished targets of both plans; visits by fibers that collide do not count. With
+``--galaxies``, it plans 42 exposures for the galaxies of the survey of PFS in one field (338,900 by default).
 """
 
 import sys
 import warnings
 from dataclasses import replace
 from pathlib import Path
-from time import process_time
+from resource import RUSAGE_SELF, getrusage
+from time import process_time, time
 
 import astropy.units as u
 import numpy as np
@@ -21,6 +23,11 @@ from measure import arguments, in_circle
 import rfpsurvey as rs
 
 CENTER = SkyCoord("10h +20d")
+GALAXIES = {
+    "visits": [2, 2, 2, 12, 6, 6, 12, 6, 3, 6, 12, 8],
+    "number": [68_200, 69_300, 96_300, 14_400, 22_000, 8_300, 14_000, 22_000, 7_400, 4_500, 2_800, 9_700],
+}
+"""Classes of galaxies of the survey of PFS (Wang & Melchior 2022, arXiv:2109.13361): exposures, number of galaxies."""
 SMALL = [(n, seed) for n in (320, 600, 1000) for seed in range(21, 25)]
 
 
@@ -92,6 +99,44 @@ def judged(whole, catalog, pfs, plan):
     return "; ".join(text)
 
 
+def galaxies(fraction, n_cobras, exposures):
+    """Return galaxies in one field of PFS, its central cobras, and exposures of this field, like `scene`."""
+    number = [round(n * fraction * n_cobras / 2394) for n in GALAXIES["number"]]
+    catalog, pfs, tiles = scene(sum(number), 1, n_cobras, exposures)
+    category = np.repeat([f"class{k:02d}" for k in range(1, 13)], number)
+    return replace(catalog, visits=np.repeat(GALAXIES["visits"], number), category=category), pfs, tiles
+
+
+def print_galaxies(seconds, scene_of_galaxies):
+    """Print the finished fractions of classes of galaxies for shares, for priorities, and for visits tile by tile."""
+    catalog, pfs, tiles = scene_of_galaxies
+    names = np.unique(catalog.category)
+    print(f"{len(catalog)} galaxies, {int(catalog.visits.sum())} visits requested, {len(tiles)} exposures")
+    ordered = replace(catalog, priority=-np.unique(catalog.category, return_inverse=True)[1].astype(float))
+    limit = {"objective": "finished", "iterations": 2, "time_limit": seconds * u.s}
+    plans = {
+        "shares": (catalog, rs.JointOptions(share="category", **limit)),
+        "finished": (catalog, rs.JointOptions(**limit)),
+        "finished, priorities": (ordered, rs.JointOptions(**limit)),
+        "visits, tile by tile": (catalog, "optimal"),
+    }
+    for name, (targets, allocator) in plans.items():
+        begin = process_time(), time()
+        survey = rs.plan_survey(targets, pfs, tiles, allocator=allocator)
+        spent, made = (process_time() - begin[0], time() - begin[1]), np.asarray(survey.outcomes["observed"])
+        done = made >= catalog.visits
+        fractions = [float(done[catalog.category == one].mean()) for one in names]
+        joint = survey.summary.get("joint", {"levels": [{}]})
+        bounds = joint.get("bound_of_smallest"), joint["levels"][-1].get("bound_complete")
+        print(
+            f"{name}: {done.sum()} finished, {made.sum()} visits, bounds {bounds}, {spent[0]:.0f} s ({spent[1]:.0f} s)"
+        )
+        print("  " + " ".join(f"{fraction:.4f}" for fraction in fractions), flush=True)
+        print(
+            f"  {survey.summary['n_colliding']} colliding, {getrusage(RUSAGE_SELF).ru_maxrss / 1e6:.2f} GB", flush=True
+        )
+
+
 def print_shares(seconds):
     """Print the finished fractions of three categories, whose targets need different numbers of visits."""
     catalog, pfs, tiles = scene(7182, 5, 2394, 7)
@@ -108,7 +153,11 @@ def print_shares(seconds):
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore", rs.errors.RfpsurveyWarning)
-    given = arguments(__doc__, seconds=60.0, large=240.0, share=False, peer=False, peer_seconds=600.0)
+    given = arguments(
+        __doc__, seconds=60.0, large=240.0, share=False, peer=False, peer_seconds=600.0, galaxies=False, fraction=1.0
+    )
+    if given.galaxies:
+        raise SystemExit(print_galaxies(10 * given.seconds, galaxies(given.fraction, 2394, 42)))
     if given.share:
         raise SystemExit(print_shares(given.large))
     scenes = [(given.seconds, {"n": n, "seed": seed}) for n, seed in SMALL]

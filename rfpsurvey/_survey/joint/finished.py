@@ -168,7 +168,9 @@ class FinishedSearch(WindowSearch):
     @property
     def _is_open(self) -> np.ndarray:
         """Whether each level has a gap that is larger than rounding errors."""
-        return self.counts[:, 0] < self.bounds_complete - (0.0 if self.worth.is_whole else ROUNDING * self.bounds_complete)
+        return self.counts[:, 0] < self.bounds_complete - (
+            0.0 if self.worth.is_whole else ROUNDING * self.bounds_complete
+        )
 
     def _lower(self, k: int, bound: float) -> None:
         """Use a bound of the values of a level, without the values before all tiles, if it is smaller."""
