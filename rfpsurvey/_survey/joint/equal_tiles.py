@@ -28,7 +28,7 @@ class EqualTiles:
             rows = np.unique(mine.indices, return_inverse=True)[1]
             key = (starts, network.target[part], network.side[part], mine.indptr, rows)
             tiles.setdefault(tuple(values.tobytes() for values in key), []).append(k)
-        self.first, self.groups = first, list(tiles.values())
+        self.first, self.groups, self.has_equal = first, list(tiles.values()), len(tiles) < len(network.first) - 1
         self.rows = np.concatenate([np.arange(first[same[0]], first[same[0] + 1]) for same in tiles.values()])
         self.times = np.concatenate([np.full(first[k[0] + 1] - first[k[0]], len(k)) for k in tiles.values()])
 

@@ -23,15 +23,15 @@ from rfpsurvey._survey.joint.exposures import colliding, without_collisions
 from rfpsurvey._survey.joint.network import Network, Patches, divide
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
 from rfpsurvey._survey.joint.shares import solve_balanced
-from rfpsurvey._survey.joint.values import steps_of
+from rfpsurvey._survey.joint.values import class_weights, steps_of
 from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_of
 
 # Number of candidates of a patch, in units of the option ``patch_size``; number of candidates up to which one program
 # contains all tiles; and weight of all visits, in units of a finished target of the last class.
 SIZE, MOST_OF_ALL, OF_VISITS = 4, 40_000, 0.4
 # Largest number of nodes of a program of a patch; the same times the number of candidates, for a program of all tiles;
-# and largest ratio of the weights of two classes.
-NODES, EFFORT, STEEPEST = 100, 2e6, 1e4
+# and largest number of candidates of a program of all tiles with a part of the candidates.
+NODES, EFFORT, MOST_AMONG = 100, 2e6, 10_000
 # Relative rounding error of a bound of values that are not whole numbers.
 ROUNDING = 1e-6
 # Fraction of the remaining time for the programs of all tiles; largest gap with which they are solved before patches.
@@ -132,7 +132,7 @@ class FinishedSearch(WindowSearch):
     def _bound_level(self, k: int) -> None:
         """Compute the bounds of the numbers of finished targets and of visits of a level."""
         limit = (1 + k) / len(self.levels) * FOR_PRICES
-        if self.has_moves:
+        if self.has_moves and not self._together.has_equal:  # programs of equal tiles give smaller bounds
             n = int(self._by_level(self.worth.value_of(self.worth.reached(self._fixed)))[k])
             self.bounds_complete[k] = n + self._bound(k, *WHOLE, int(self.counts[k, 0]) - n, self._minima(), limit)
         self.bounds[k] = self.bounds_of_all[k] = self.network.matching(int(self.levels[k]), MOST_EDGES)
@@ -182,7 +182,7 @@ class FinishedSearch(WindowSearch):
         network, patches = self.network, Patches(self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64))
         gains = {k: (np.arange(network.n_classes) <= level).astype(float) for k, level in enumerate(self.levels)}
         if network.n_classes > 1:  # first the plan that is best in the order of the classes
-            gains = {-1: self._class_weights(), **gains}
+            gains = {-1: class_weights(self.network), **gains}
         for k, weights in gains.items():
             is_open = self._is_open & ~self._is_proven
             if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
@@ -210,7 +210,7 @@ class FinishedSearch(WindowSearch):
                 break
             seconds = min(self._limit - self.seconds, 1e9) * (FOR_ALL / (rounds + 1) if is_small else 1.0)
             nodes = int(EFFORT / len(network.target)) if is_small else NODES
-            problem = self._program(patches, k, self._class_weights(), time() + seconds, nodes)
+            problem = self._program(patches, k, class_weights(self.network), time() + seconds, nodes)
             outside = self._counts_of_targets()[:, 0] > 0
             outside[problem[2]] = False
             given = problem[2], self.shares, self.shares.count(outside), rounds, now() + seconds * (rounds + 1)
@@ -219,14 +219,20 @@ class FinishedSearch(WindowSearch):
             if is_small and self._is_complete:
                 self.bound_of_smallest = min(self.bound_of_smallest, bound)
 
+    @cached_property
+    def _together(self) -> EqualTiles:
+        return EqualTiles(self.network, self.worth)
+
     def _bound_together(self) -> None:
         """Find smaller upper bounds by programs in which equal tiles are one tile, and plans from their solutions."""
         network, shares = self.network, self._all_shares
         if not self._is_complete and self._exposures is None:
             return
         programs = {k: (np.arange(network.n_classes) <= level) * 1.0 for k, level in enumerate(self.levels)}
-        programs = {-1: self._class_weights(), **programs} if network.n_classes > 1 or shares is not None else programs
-        together = None if self._exposures is not None else EqualTiles(network, self.worth)
+        programs = (
+            {-1: class_weights(self.network), **programs} if network.n_classes > 1 or shares is not None else programs
+        )
+        together = None if self._exposures is not None else self._together
         for k, weights in programs.items():
             if self.out_of_time() or not (self._is_open[k] if k >= 0 else shares is not None or self._is_open.any()):
                 continue
@@ -251,6 +257,8 @@ class FinishedSearch(WindowSearch):
         is_used = is_used | (network.rank >= network.n_classes)
         for _ in range(2):
             some = replace(network, usable=network.usable & is_used)
+            if np.count_nonzero(some.usable) > MOST_AMONG:
+                break
             deadline = time() + FOR_ALL * min(self._limit - self.seconds, 1e9)
             nodes = int(EFFORT / max(np.count_nonzero(some.usable), 1))
             problem = self._program(Patches(some, whole), 0, weights, deadline, nodes, of_visits=0.0)
@@ -272,7 +280,7 @@ class FinishedSearch(WindowSearch):
             if self.out_of_time():
                 break
             deadline = time() + self._limit - self.seconds
-            problems = [self._program(patches, k, self._class_weights(), deadline, NODES) for k in group]
+            problems = [self._program(patches, k, class_weights(self.network), deadline, NODES) for k in group]
             results = map_in_order(executor, solve_weighted, [problem for _, problem, _ in problems])
             for k, problem, (chosen, _) in zip(group, problems, results, strict=True):
                 self._take(patches.members[k], problem, chosen)
@@ -286,12 +294,6 @@ class FinishedSearch(WindowSearch):
         """Divide the positioners into patches, which differ in each iteration."""
         rng = np.random.default_rng([self.request.seed, self.iteration, 3])
         return Patches(self.network, divide(self.network, self._directions, SIZE * self.options.patch_size, rng))
-
-    def _class_weights(self) -> np.ndarray:
-        """Return the weight of a finished target of each class: higher priorities take precedence."""
-        n = self.network.n_classes
-        ratio = min(float(len(self.network.slot)), STEEPEST ** (1.0 / max(n - 1, 1)))
-        return ratio ** np.arange(n - 1, -1, -1.0)
 
     def _program(self, patches, k, weights, deadline, nodes, of_visits=OF_VISITS):
         """Return the candidates of a patch, the program that finishes targets by its visits, and these targets."""

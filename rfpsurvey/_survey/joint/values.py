@@ -13,6 +13,8 @@ from rfpsurvey._survey.joint.network import Network
 from rfpsurvey.errors import InputError, check_choice, listed
 
 OBJECTIVES = "finished", "visits"
+# Largest ratio of the weights of two classes.
+STEEPEST = 1e4
 
 
 def to_objective(objective: object) -> str:
@@ -127,6 +129,13 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
     order = np.lexsort((number, target))
     starts = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=n))])
     return Steps(starts, number[order].astype(np.int64), value[order], base, target[order])
+
+
+def class_weights(network: Network) -> np.ndarray:
+    """Return the weight of the value of a target of each class: higher priorities take precedence."""
+    n = network.n_classes
+    ratio = min(float(len(network.slot)), STEEPEST ** (1.0 / max(n - 1, 1)))
+    return ratio ** np.arange(n - 1, -1, -1.0)
 
 
 def worth_of(objective: str, visits: np.ndarray, category: np.ndarray | None) -> np.ndarray:
