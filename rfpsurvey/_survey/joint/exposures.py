@@ -165,14 +165,16 @@ class Exposures:
         wanted = np.minimum(self.needed[self.slots[mine]], int(self.number.sum())).sum()
         return float(min(wanted, self.room[np.unique(self.fiber[mine[self.target]])].sum()))
 
-    def bound(self, level: int, deadline: float, shares: Shares | None = None) -> float:
-        """Return an upper bound of the number of finished targets of the classes up to a level, without collisions.
+    def solve(self, weights: np.ndarray, deadline: float, shares: Shares | None = None) -> tuple[float, None]:
+        """Return an upper bound of the number of finished targets of the classes with a weight, without collisions.
 
-        With ``shares``, return an upper bound of the smallest finished fraction.
+        With ``shares``, return an upper bound of the smallest finished fraction. The last value, in place of the
+        candidates that `EqualTiles.solve` returns, is always None.
         """
-        counted = self.class_of[self.slots] <= level
-        bound = min(self._by_capacity(counted, shares), self.relax(counted.astype(float), deadline, shares)[0])
-        return bound if shares is not None else np.floor(bound) + int(self.is_finished[self.class_of <= level].sum())
+        counted, before = (np.append(weights, 0.0)[self.class_of] > 0), self.is_finished
+        mine = counted[self.slots]
+        bound = min(self._by_capacity(mine, shares), self.relax(mine.astype(float), deadline, shares)[0])
+        return (bound if shares is not None else np.floor(bound) + int((before & counted).sum())), None
 
     def _by_capacity(self, counted: np.ndarray, shares: Shares | None) -> float:
         """Return a bound that considers only the number of visits of all fibers."""

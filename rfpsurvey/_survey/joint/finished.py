@@ -225,25 +225,18 @@ class FinishedSearch(WindowSearch):
 
     def _bound_together(self) -> None:
         """Find smaller upper bounds by programs in which equal tiles are one tile, and plans from their solutions."""
-        network, shares = self.network, self._all_shares
-        if not self._is_complete and self._exposures is None:
+        network, shares, exposures = self.network, self._all_shares, self._exposures
+        if not self._is_complete and exposures is None:
             return
         programs = {k: (np.arange(network.n_classes) <= level) * 1.0 for k, level in enumerate(self.levels)}
-        programs = (
-            {-1: class_weights(self.network), **programs} if network.n_classes > 1 or shares is not None else programs
-        )
-        together = None if self._exposures is not None else self._together
+        if shares is not None or (network.n_classes > 1 and exposures is None):
+            programs = {-1: class_weights(network), **programs}
         for k, weights in programs.items():
             if self.out_of_time() or not (self._is_open[k] if k >= 0 else shares is not None or self._is_open.any()):
                 continue
             end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / (1 if k >= 0 else 2)
-            given = shares if k < 0 else None
-            if together is None:
-                bound, is_used = np.inf, None
-                if k >= 0 or shares is not None:
-                    bound = self._exposures.bound(self.levels[k], end, given)
-            else:
-                bound, is_used = together.solve(weights, end, given if given is None else self.shares)
+            given = None if k >= 0 or shares is None else self.shares if exposures is None else shares
+            bound, is_used = (exposures or self._together).solve(weights, end, given)
             if k >= 0:
                 self._lower(k, bound)
             elif shares is not None:
