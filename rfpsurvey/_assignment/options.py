@@ -108,15 +108,16 @@ class AllocationOptions(Settings):
         Order of the targets within each class; targets with larger subpriorities are served first. An integer is the
         seed of random subpriorities, which depend only on the identifiers of targets
         (`~rfpsurvey.allocation.subpriorities`). Text is the name of an additional column of the catalog, such as
-        ``SUBPRIORITY``. With subpriorities, ``nearest`` assigns the targets of a class in this order, each to its
-        closest free positioner; ``balanced`` distributes the targets to the queues in this order; with ``lamost_rule``,
-        every positioner nominates its unassigned target with the largest subpriority. ``network_flow`` and ``optimal``
-        maximize the sum of the subpriorities of the science targets after the numbers of targets (``network_flow`` then
-        does not minimize squared distances). Differences below one millionth of the range are ignored. In large fields,
-        or if the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum, as does
-        ``repair``; the bound in ``levels`` states this. With subpriorities and unique identifiers, the plan does not
-        depend on the order of targets in the catalog. Without subpriorities, ``optimal`` and ``repair`` sort targets by
-        a hash of their identifiers or, if there are none, of their positions.
+        ``SUBPRIORITY``, or, in surveys, ``fewest remaining visits``: the targets that can be finished soonest. With
+        subpriorities, ``nearest`` assigns the targets of a class in this order, each to its closest free positioner;
+        ``balanced`` distributes the targets to the queues in this order; with ``lamost_rule``, every positioner
+        nominates its unassigned target with the largest subpriority. ``network_flow`` and ``optimal`` maximize the sum
+        of the subpriorities of the science targets after the numbers of targets (``network_flow`` then does not
+        minimize squared distances). Differences below one millionth of the range are ignored. In large fields, or if
+        the time limit ends the search, ``optimal`` finds only an approximate maximum of the sum, as does ``repair``;
+        the bound in ``levels`` states this. With subpriorities and unique identifiers, the plan does not depend on the
+        order of targets in the catalog. Without subpriorities, ``optimal`` and ``repair`` sort targets by a hash of
+        their identifiers or, if there are none, of their positions.
     constraints : list of Constraint or str, optional
         Constraints of any kind, as objects or as text: `KeepOut` or ``keep_out RA DEC RADIUS`` (deg), `Required` or
         ``required ID ...``, `Requirement` or text such as ``sky=20/spectrograph``, and constraints of users and of

@@ -99,6 +99,10 @@ def subpriorities_of(numbers: np.ndarray, seed: int) -> np.ndarray:
     return out
 
 
+FEWEST_FIRST = "fewest remaining visits"
+"""Value of the option ``subpriority`` of surveys in which targets with few remaining visits come first."""
+
+
 def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> np.ndarray:
     """Return the subpriorities of the targets of a field.
 
@@ -123,6 +127,8 @@ def to_subpriorities(given: int | str, ids: np.ndarray, extra: dict | None) -> n
     """
     if not isinstance(given, str):
         return subpriorities_of(id_numbers(ids), given)
+    if given == FEWEST_FIRST:
+        raise InputError(f"the subpriority {FEWEST_FIRST!r} can be used only for tiles of a survey")
     if given not in (extra or {}):
         raise InputError(
             f"subpriority must be a seed or the name of an additional column that was read from the catalog by keep= "

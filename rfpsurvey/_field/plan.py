@@ -14,7 +14,7 @@ from rfpsurvey._assignment.allocation import Allocation
 from rfpsurvey._assignment.constraints.field import Verdict
 from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._assignment.options import AllocationOptions
-from rfpsurvey._assignment.rules import service_order, tie_order, to_subpriorities
+from rfpsurvey._assignment.rules import FEWEST_FIRST, service_order, tie_order, to_subpriorities
 from rfpsurvey._common.units import to_lonlat, values_at
 from rfpsurvey._field.constraints import Applied, apply_constraints, project_field
 from rfpsurvey._instruments.arms import Arms
@@ -203,7 +203,7 @@ def _assign(reach: FieldReach, projection, targets, options, rng, tell) -> Alloc
         others["avoid"] = projection.project(targets.others)
     columns = targets.columns._replace(fiber_type=reach.fiber_type)
     values = columns.subpriority
-    if options.subpriority is not None:
+    if options.subpriority is not None and (options.subpriority != FEWEST_FIRST or values is None):
         values = to_subpriorities(options.subpriority, targets.id, targets.extra)
     if values is not None:
         columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)

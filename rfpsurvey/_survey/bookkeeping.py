@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from rfpsurvey._assignment.rules import FEWEST_FIRST
 from rfpsurvey._field.verdicts import Outcome, category_classes, priority_classes
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._survey.cadences import Windows
@@ -98,9 +99,11 @@ class Bookkeeping:
     def open_job(self, request, tile: int):
         """Return the job of a tile with the targets whose windows are open; the first to close have precedence."""
         job = request.job(tile, self.left)
+        slot = job.field.slot
+        if request.options.subpriority == FEWEST_FIRST and not request.is_planned:
+            job = _with_subpriority(job, -self.left[slot].astype(float))
         if self.windows is None:
             return job
-        slot = job.field.slot
         is_closed = ~self.windows.state(slot, tile)[0] & self.spends[slot]
         closed = slot[is_closed]
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
@@ -111,11 +114,9 @@ class Bookkeeping:
         self.left[closed] = left
         if request.is_planned:
             return job
-        targets = job.field.targets
         closing = self.windows.state(job.field.slot, tile)[1]
         order = np.unique(closing, return_inverse=True)[1].reshape(-1)
-        columns = targets.columns._replace(subpriority=-order.astype(float))
-        return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))
+        return _with_subpriority(job, -order.astype(float))
 
     def allows(self, slot: np.ndarray, tile: int) -> np.ndarray:
         """Return whether a visit of each target on a tile counts: visits remain, and its window is open."""
@@ -182,3 +183,10 @@ def _outcomes_by_flags(flags: np.ndarray) -> np.ndarray:
     code[(flags & REACHED) > 0] = Outcome.IN_REACH_NOT_ASSIGNED
     code[(flags & LOST_IN_COLLISION) > 0] = Outcome.LOST_TO_A_COLLISION
     return code
+
+
+def _with_subpriority(job: Job, subpriority: np.ndarray) -> Job:
+    """Return a job whose targets have other subpriorities."""
+    targets = job.field.targets
+    columns = targets.columns._replace(subpriority=subpriority)
+    return job._replace(field=job.field._replace(targets=targets._replace(columns=columns)))

@@ -15,6 +15,7 @@ from rfpsurvey._assignment.constraints.targets import mark_required
 from rfpsurvey._assignment.methods import DEFAULT_ALLOCATOR
 from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._assignment.plugin import warn_of_lacks, warn_of_unused_options
+from rfpsurvey._assignment.rules import FEWEST_FIRST
 from rfpsurvey._common.units import to_seed
 from rfpsurvey._field.plan_tile import warn_of_costly_rules
 from rfpsurvey._instruments.instrument import Instrument, as_instrument
@@ -220,6 +221,8 @@ def prepare_request(
         if state is None:
             visits = cadences.visits(catalog, mark_required(asked.required_ids, [catalog.id]))
         cadences = cadences, cadences.of(catalog)
+        if asked.subpriority == FEWEST_FIRST:
+            warn_no_effect("subpriority", "with cadences")
         if catalog.subpriority is not None:
             warn("the subpriorities of the catalog have no effect on a survey with cadences")
         if catalog.visits is not None and (catalog.visits > 1).any():

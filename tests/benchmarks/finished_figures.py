@@ -168,8 +168,12 @@ if __name__ == "__main__":
             print(options, flush=True)
             print_peer(seconds, given.peer_seconds, *scene(**options))
             continue
+        catalog, pfs, tiles = scene(**options)
+        fewest = rs.AllocationOptions("optimal", subpriority="fewest remaining visits")
+        made = np.asarray(rs.plan_survey(catalog, pfs, tiles, allocator=fewest).outcomes["observed"])
+        print(f"{options} tile by tile, fewest remaining visits first: {(made >= catalog.visits).sum()} finished")
         for objective in ("visits", "finished"):
-            done, visits, bound, spent, _ = measured(objective, seconds, *scene(**options))
+            done, visits, bound, spent, _ = measured(objective, seconds, catalog, pfs, tiles)
             print(
                 f"{options} {objective:<8}: {done} finished, bound {bound}, {visits} visits, {spent:.1f} s", flush=True
             )

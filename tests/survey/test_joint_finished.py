@@ -127,3 +127,30 @@ def test_idle_arms_are_obstacles():
     level = survey.summary["joint"]["levels"][0]
     assert (level["n_complete"], survey.summary["n_colliding"]) == (done.sum(), 0)
     assert level["n_visits"] == survey.summary["n_visits_observed"]
+
+
+def test_few_remaining_visits_first_finishes_more_targets():
+    """Tile by tile, each tile gives precedence to targets with the fewest remaining visits within a priority."""
+    better = []
+    for seed in range(30):
+        instrument, tiles, catalog, options, _ = survey_with(seed, "science")
+        if not catalog.visits.any():
+            continue
+        done, plans = [], []
+        for subpriority in (None, "fewest remaining visits"):
+            survey = rs.plan_survey(catalog, instrument, tiles, allocator=replace(options, subpriority=subpriority))
+            n = np.asarray(survey.outcomes["observed"])
+            done.append(int(((n >= catalog.visits) & (catalog.visits > 0)).sum()))
+            plans.append(survey)
+        better.append(done[1] - done[0])
+        # the largest sum of subpriorities of the first tile, among plans with the same numbers of each priority
+        first = [np.asarray(plan.tile(0)["target_row"]) for plan in plans]
+        counts = [np.bincount(catalog.priority[rows[rows >= 0]].astype(int), minlength=3).tolist() for rows in first]
+        sums = [-int(catalog.visits[rows[rows >= 0]].sum()) for rows in first]
+        assert counts[0] == counts[1], seed
+        assert sums[1] >= sums[0], seed
+    assert sum(better) > 0
+    with pytest.raises(rs.errors.InputError, match="'fewest remaining visits' can be used only for tiles of a survey"):
+        rs.plan_tile(
+            catalog, instrument, center=tiles[0], allocator=replace(options, subpriority="fewest remaining visits")
+        )

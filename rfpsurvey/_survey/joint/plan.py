@@ -14,7 +14,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._assignment.clock import now
-from rfpsurvey._assignment.rules import to_subpriorities
+from rfpsurvey._assignment.rules import FEWEST_FIRST, to_subpriorities
 from rfpsurvey._assignment.weighted import GivenPlan, ListCandidates, TileCandidates
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.units import exact_text
@@ -95,7 +95,7 @@ def list_all(
         job = request.job(tile, available)
         slots.append(with_roles(builder, job.field.slot, job.field.targets))
         values = job.field.targets.columns.subpriority
-        if given is not None:
+        if given not in (None, FEWEST_FIRST):
             values = to_subpriorities(given, job.field.targets.id, job.field.targets.extra)
         if values is not None:
             subpriority = np.zeros(len(left)) if subpriority is None else subpriority
