@@ -156,11 +156,12 @@ def test_arms_that_collide_are_in_different_exposures():
     assert n_kept >= 38
 
 
-def repeated(seed, roles, n_exposures=3):
-    """Return a survey with several exposures of each of two fields."""
-    instrument, tiles, catalog, options, needs = survey_with(seed, roles)
-    number = np.arange(2 * n_exposures - 1)
-    tiles = QTable({"ra": tiles.ra[number % 2], "dec": tiles.dec[number % 2], "pass": 1 + number // 2})
+def repeated(seed, roles):
+    """Return a survey with up to six exposures of up to three fields; some targets need more visits than that."""
+    (instrument, tiles, catalog, options, needs), rng = survey_with(seed, roles), np.random.default_rng([seed, 4])
+    number = rng.integers(0, len(tiles), rng.integers(1, 7)) * int(rng.integers(0, 2))
+    tiles = QTable({"ra": tiles.ra[number], "dec": tiles.dec[number], "pass": 1 + np.arange(len(number))})
+    catalog = replace(catalog, visits=rng.integers(0, rng.integers(2, 8), len(catalog)))
     return instrument, tiles, catalog, options, needs
 
 
@@ -218,16 +219,21 @@ def test_shares_of_chosen_targets(monkeypatch, share):
 
 
 def test_visits_of_fixed_tiles(monkeypatch):
-    """Visits of a fixed exposure count, also of targets that are not listed otherwise."""
+    """Visits of fixed exposures count, also of targets that are not listed otherwise, and if all tiles are fixed."""
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
-    for seed in range(12):
+    for seed in range(24):
         instrument, tiles, catalog, options, _ = repeated(seed, "science")
         if instrument.focal_plane.positioner.handedness == "both" or not catalog.visits.any():
             continue
-        before = rs.plan_survey(catalog, instrument, tiles[:1], allocator=options)
+        n_fixed = 1 + seed % len(tiles)
+        before = rs.plan_survey(catalog, instrument, tiles[:n_fixed], allocator=options)
         joint = rs.JointOptions(objective="finished", iterations=1, allocator=options, fixed=before)
         survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint)
-        assert np.array_equal(survey.tile(0)["target_row"], before.tile(0)["target_row"])
-        level = survey.summary["joint"]["levels"][-1]
-        done = (np.asarray(survey.outcomes["observed"]) >= catalog.visits) & (catalog.visits > 0)
-        assert level["n_complete"] == done.sum() <= level["bound_complete"]
+        assert all(np.array_equal(survey.tile(k)["target_row"], before.tile(k)["target_row"]) for k in range(n_fixed))
+        level, made = survey.summary["joint"]["levels"][-1], np.asarray(survey.outcomes["observed"])
+        assert level["n_complete"] == ((made >= catalog.visits) & (catalog.visits > 0)).sum() <= level["bound_complete"]
+        earlier, coord = np.asarray(before.outcomes["observed"]), SkyCoord(tiles["ra"], tiles["dec"])
+        left, most = replace(catalog, visits=catalog.visits - earlier), 0
+        if n_fixed < len(tiles) and left.visits.any():
+            most = program_of(instrument, coord[n_fixed:], left, options, [], []).sums()[-1]
+        assert level["n_visits"] == made.sum() <= earlier.sum() + most <= level["bound"], seed

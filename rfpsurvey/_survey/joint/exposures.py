@@ -106,7 +106,7 @@ class Exposures:
                 self._add_targets(order, shares, state)
             schedules = [self._schedule(k, closed[k], uses, finished, rng) for k in range(len(self.groups))]
             bad = np.concatenate([np.empty(0, np.int64), *(schedule[2] for schedule in schedules)])
-            placed = np.concatenate([schedule[0].ravel() for schedule in schedules])
+            placed = np.concatenate([np.empty(0, np.int64), *(schedule[0].ravel() for schedule in schedules)])
             placed = np.bincount(placed[placed >= 0], minlength=len(self.needed))[self.slots]
             lost = finished & (placed < needed)
             value = self._value(finished & ~lost, shares)
@@ -160,7 +160,7 @@ class Exposures:
             kernels.finish_targets(mine, *one_list, needed, *state)
 
     def bound_of_visits(self, level: int) -> float:
-        """Return an upper bound of the number of visits to the targets of the classes up to a level."""
+        """Return an upper bound of the number of visits of tiles that are not fixed to the classes up to a level."""
         mine = self.class_of[self.slots] <= level
         wanted = np.minimum(self.needed[self.slots[mine]], int(self.number.sum())).sum()
         return float(min(wanted, self.room[np.unique(self.fiber[mine[self.target]])].sum()))
@@ -293,7 +293,8 @@ class Exposures:
         dropped = np.zeros(len(code), dtype=bool)
         rank = np.append(self.class_of, self.n_classes)[slots]
         kernels.drop_collisions(rank, self.n_classes, poses, plan, load, dropped)
-        bad = mine[(np.add.reduceat(dropped[candidate], starts[:-1]) > 0) | (high == low)] if len(mine) else mine
+        n_dropped = np.bincount(np.repeat(np.arange(len(mine)), high - low), dropped[candidate], len(mine))
+        bad = mine[(n_dropped > 0) | (high == low)]
         slot = np.where(plan >= 0, np.append(slots, -1)[tile.target[plan]], -1)
         return slot, tile.side[plan], bad
 

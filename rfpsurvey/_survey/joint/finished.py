@@ -113,16 +113,16 @@ class FinishedSearch(WindowSearch):
         return np.cumsum(by_class[: self.network.n_classes])[self.levels]
 
     def _without_limits(self, per_visit, per_whole):
+        before = per_visit * self._fixed + per_whole * self.worth.value_of(self.worth.reached(self._fixed))
         if self._exposures is not None:  # a target has at least one visit
-            visits = np.array([self._exposures.bound_of_visits(level) for level in self.levels])
-            return visits + per_whole * self._by_level(self.worth.value_of(self.worth.reached(self._fixed)))
+            return self._by_level(before) + [self._exposures.bound_of_visits(level) for level in self.levels]
         network, n_tiles = self.network, len(self.request.tiling)
         positioner, target = network.pairs
         tile = np.repeat(np.arange(n_tiles), np.diff(network.first))[positioner]
         places = np.unique(target.astype(np.int64) * n_tiles + tile)
         number = np.bincount(places // n_tiles, minlength=len(network.slot))
         if per_visit:
-            return self._by_level(np.minimum(number, self._wanted))
+            return self._by_level(before + np.minimum(number, self._wanted))
         return self._by_level(self.worth.base + self.worth.value_of(self.worth.reached(self._fixed + number)))
 
     @property
@@ -168,9 +168,8 @@ class FinishedSearch(WindowSearch):
     @property
     def _is_open(self) -> np.ndarray:
         """Whether each level has a gap that is larger than rounding errors."""
-        return self.counts[:, 0] < self.bounds_complete - (
-            0.0 if self.worth.is_whole else ROUNDING * self.bounds_complete
-        )
+        rounding = 0.0 if self.worth.is_whole else ROUNDING
+        return self.counts[:, 0] < self.bounds_complete * (1.0 - rounding)
 
     def _lower(self, k: int, bound: float) -> None:
         """Use a bound of the values of a level, without the values before all tiles, if it is smaller."""
@@ -318,10 +317,8 @@ class FinishedSearch(WindowSearch):
         gain[column] = weights[network.rank_of_target[of_step]] * (steps.value[open_steps] - before[of_step])
         unit = self.worth.smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
         tie = of_visits * unit / max(len(problem.start) - 1, 1)
-        weight = np.append(
-            np.where(target >= 0, tie * weights[np.minimum(network.rank[rows], n_classes - 1)] / weights.max(), 0.0),
-            gain,
-        )
+        of_visit = tie * weights[np.minimum(network.rank[rows], n_classes - 1)] / weights.max()
+        weight = np.append(np.where(target >= 0, of_visit, 0.0), gain)
         number = np.bincount(goal, minlength=m)
         ends = np.cumsum(number + 1)
         start = np.append(problem.start, n + ends)
