@@ -170,6 +170,7 @@ def repeated(seed, roles):
 def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
     """The plans keep all limits, the bounds are those of all plans, and most plans are optimal or nearly so."""
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
+    monkeypatch.setattr(exposures, "FEW_EXPOSURES", 0)
     total, possible = 0, 0
     for seed in seeds:
         instrument, tiles, catalog, options, needs = repeated(seed, roles)
@@ -198,6 +199,7 @@ def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
 @pytest.mark.parametrize("share", ["category", "b=2 a=0.5"])
 def test_shares_of_chosen_targets(monkeypatch, share):
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
+    monkeypatch.setattr(exposures, "FEW_EXPOSURES", 0)
     for seed in range(12):
         instrument, tiles, catalog, options, _ = repeated(seed, "science")
         category = np.random.default_rng([seed, 5]).choice(["a", "b"], len(catalog))
@@ -221,6 +223,7 @@ def test_shares_of_chosen_targets(monkeypatch, share):
 def test_visits_of_fixed_tiles(monkeypatch):
     """Visits of fixed exposures count, also of targets that are not listed otherwise, and if all tiles are fixed."""
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
+    monkeypatch.setattr(exposures, "FEW_EXPOSURES", 0)
     for seed in range(24):
         instrument, tiles, catalog, options, _ = repeated(seed, "science")
         if instrument.focal_plane.positioner.handedness == "both" or not catalog.visits.any():

@@ -19,9 +19,9 @@ from rfpsurvey._survey.joint.network import Network
 from rfpsurvey._survey.joint.shares import UNITS, Shares
 from rfpsurvey._survey.work import reach_of
 
-# Number of reachable pairs of all tiles above which the search considers only chosen targets; number of further targets
-# that it considers, as a fraction of the chosen ones.
-MOST_PAIRS, FURTHER = 150_000, 0.1
+# Numbers of reachable pairs of all tiles, and of exposures of each field, above which the search considers only chosen
+# targets; number of further targets that it considers, as a fraction of the chosen ones.
+MOST_PAIRS, FEW_EXPOSURES, FURTHER = 150_000, 3, 0.1
 # Number of plans that are made, and number of turns in which the exposures of a plan are exchanged.
 ROUNDS, TURNS = 8, 30
 # Largest number of variables of a linear program.
@@ -83,8 +83,9 @@ class Exposures:
 
     @property
     def is_large(self) -> bool:
-        """Whether the search has to be limited to chosen targets."""
-        return int(self.room[self.fiber].sum()) > MOST_PAIRS and not self._has_rules
+        """Whether the search has to be limited to chosen targets: many pairs, and several exposures of each field."""
+        number = int(self.room[self.fiber].sum())
+        return number > max(MOST_PAIRS, FEW_EXPOSURES * len(self.fiber)) and not self._has_rules
 
     def finish(
         self, plans: list[TilePlan], shares: Shares | None, seed: int, first: np.ndarray | int = 0
