@@ -118,7 +118,7 @@ class Exposures:
             np.add.at(room, self.fiber[gone], uses[gone])
             uses[gone], pairs.most[bad], finished[lost] = 0, 0, False
         _, schedules, finished = best
-        listed = np.zeros(len(self.needed), dtype=bool)
+        listed = self.class_of >= self.n_classes  # standards and sky positions
         listed[self.slots[finished]] = True
         rest, result = rng.permutation(self.slots[~finished]), list(plans)
         for level in range(self.n_classes):
@@ -265,10 +265,11 @@ class Exposures:
         left[self.slots[finished]] = request.builder.left[self.slots[finished]]
         job = request.job(int(tiles[0]), left.astype(request.builder.left.dtype))
         tile, slots = self._list(job), job.field.slot
-        self._has_rules |= tile.rules.matrix[:, (tile.target >= 0) & (tile.target < len(slots))].nnz > 0
         owner, n = np.repeat(np.arange(self.n_fibers), np.diff(tile.start)), len(self.needed)
         # sky positions follow the targets of the tile
         row = np.where(tile.target < len(slots), np.append(slots, -1)[np.minimum(tile.target, len(slots))], -1)
+        is_counted = (tile.target >= 0) & np.append(self.class_of < self.n_classes, False)[row]
+        self._has_rules |= tile.rules.matrix[:, is_counted].nnz > 0
         code = np.where(tile.target >= len(slots), n + tile.target - len(slots), row)
         code = np.where(tile.target < 0, -1, owner * (2 * n) + code)
         by_code = np.argsort(code, kind="stable")
