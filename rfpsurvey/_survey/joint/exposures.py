@@ -26,6 +26,8 @@ MOST_PAIRS, FURTHER = 150_000, 0.1
 ROUNDS, TURNS = 8, 30
 # Largest number of variables of a linear program.
 MOST_VARIABLES = 60_000
+# Difference of the codes of two positioners, which is larger than the number of targets and sky positions.
+STRIDE = 1 << 32
 
 
 class Exposures:
@@ -271,16 +273,16 @@ class Exposures:
         is_counted = (tile.target >= 0) & np.append(self.class_of < self.n_classes, False)[row]
         self._has_rules |= tile.rules.matrix[:, is_counted].nnz > 0
         code = np.where(tile.target >= len(slots), n + tile.target - len(slots), row)
-        code = np.where(tile.target < 0, -1, owner * (2 * n) + code)
+        code = np.where(tile.target < 0, -1, owner * STRIDE + code)
         by_code = np.argsort(code, kind="stable")
         mine = np.flatnonzero((uses > 0) & (self.fiber // self.n_fibers == k))
-        pair = self.fiber[mine] % self.n_fibers * (2 * n) + self.slots[self.target[mine]]
+        pair = self.fiber[mine] % self.n_fibers * STRIDE + self.slots[self.target[mine]]
         low, high = (np.searchsorted(code[by_code], pair, side=side) for side in ("left", "right"))
         starts = np.concatenate([[0], np.cumsum(high - low)])
         candidate = by_code[np.repeat(low - starts[:-1], high - low) + np.arange(starts[-1])]
         poses = kernels.Poses(owner, tile.target.astype(np.int64), *_columns(tile))
         of_closed = np.where(closed < -1, n - 2 - closed, np.where(closed >= n, closed - n, closed))
-        of_closed = of_closed + np.arange(self.n_fibers) * (2 * n)
+        of_closed = of_closed + np.arange(self.n_fibers) * STRIDE
         place = np.minimum(np.searchsorted(code[by_code], of_closed), max(len(code) - 1, 0))
         blocked = np.where((closed != -1) & (code[by_code][place] == of_closed), by_code[place], -1)
         plan = np.where(closed != -1, kernels.CLOSED, kernels.FREE)
@@ -294,7 +296,7 @@ class Exposures:
         kernels.drop_collisions(rank, self.n_classes, poses, plan, load, dropped)
         n_dropped = np.bincount(np.repeat(np.arange(len(mine)), high - low), dropped[candidate], len(mine))
         bad = mine[(n_dropped > 0) | (high == low)]
-        slot = np.where(plan >= 0, np.append(slots, -1)[tile.target[plan]], -1)
+        slot = np.where(plan >= 0, row[plan], -1)
         return slot, tile.side[plan], bad
 
 
