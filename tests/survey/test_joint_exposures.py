@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
@@ -240,3 +241,19 @@ def test_visits_of_fixed_tiles(monkeypatch):
         if n_fixed < len(tiles) and left.visits.any():
             most = program_of(instrument, coord[n_fixed:], left, options, [], []).sums()[-1]
         assert level["n_visits"] == made.sum() <= earlier.sum() + most <= level["bound"], seed
+
+
+def test_added_sky_positions(monkeypatch):
+    """Regression: more added sky positions than targets led to an IndexError, or to plans with few targets."""
+    results, finish = [], exposures.Exposures.finish
+    monkeypatch.setattr(exposures.Exposures, "finish", lambda *args: results.append(finish(*args)) or results[-1])
+    for seed in (5, 7, 9, 17, 18, 21):
+        instrument, tiles, catalog, options, _ = repeated(seed, "science")
+        options = replace(options, requirements=["sky=1"], sky_separation=0.3 * u.mm)
+        joint = rs.JointOptions(objective="finished", iterations=2, allocator=options)
+        survey = rs.plan_survey(catalog[:8], instrument, tiles, allocator=joint)
+        n_finished = ((np.asarray(survey.outcomes["observed"]) >= catalog.visits[:8]) & (catalog.visits[:8] > 0)).sum()
+        slots = np.concatenate([plan.slot[plan.slot >= 0] for plan in results[-1][0]])
+        visits = np.bincount(slots, minlength=8)  # those of finished targets only
+        assert n_finished == survey.summary["joint"]["levels"][-1]["n_complete"] == (visits > 0).sum(), seed
+        assert not survey.tiles["n_unmet"].any()

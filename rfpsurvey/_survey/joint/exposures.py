@@ -26,6 +26,8 @@ MOST_PAIRS, FEW_EXPOSURES, FURTHER = 150_000, 3, 0.1
 ROUNDS, TURNS = 8, 30
 # Largest number of variables of a linear program.
 MOST_VARIABLES = 60_000
+# Difference of the codes of two positioners, which is larger than the number of targets and sky positions.
+STRIDE = 1 << 32
 
 
 class Exposures:
@@ -119,7 +121,7 @@ class Exposures:
             np.add.at(room, self.fiber[gone], uses[gone])
             uses[gone], pairs.most[bad], finished[lost] = 0, 0, False
         _, schedules, finished = best
-        listed = np.zeros(len(self.needed), dtype=bool)
+        listed = self.class_of >= self.n_classes  # standards and sky positions
         listed[self.slots[finished]] = True
         rest, result = rng.permutation(self.slots[~finished]), list(plans)
         for level in range(self.n_classes):
@@ -268,21 +270,22 @@ class Exposures:
         left[self.slots[finished]] = request.builder.left[self.slots[finished]]
         job = request.job(int(tiles[0]), left.astype(request.builder.left.dtype))
         tile, slots = self._list(job), job.field.slot
-        self._has_rules |= tile.rules.matrix[:, (tile.target >= 0) & (tile.target < len(slots))].nnz > 0
         owner, n = np.repeat(np.arange(self.n_fibers), np.diff(tile.start)), len(self.needed)
         # sky positions follow the targets of the tile
         row = np.where(tile.target < len(slots), np.append(slots, -1)[np.minimum(tile.target, len(slots))], -1)
+        is_counted = (tile.target >= 0) & np.append(self.class_of < self.n_classes, False)[row]
+        self._has_rules |= tile.rules.matrix[:, is_counted].nnz > 0
         code = np.where(tile.target >= len(slots), n + tile.target - len(slots), row)
-        code = np.where(tile.target < 0, -1, owner * (2 * n) + code)
+        code = np.where(tile.target < 0, -1, owner * STRIDE + code)
         by_code = np.argsort(code, kind="stable")
         mine = np.flatnonzero((uses > 0) & (self.fiber // self.n_fibers == k))
-        pair = self.fiber[mine] % self.n_fibers * (2 * n) + self.slots[self.target[mine]]
+        pair = self.fiber[mine] % self.n_fibers * STRIDE + self.slots[self.target[mine]]
         low, high = (np.searchsorted(code[by_code], pair, side=side) for side in ("left", "right"))
         starts = np.concatenate([[0], np.cumsum(high - low)])
         candidate = by_code[np.repeat(low - starts[:-1], high - low) + np.arange(starts[-1])]
         poses = kernels.Poses(owner, tile.target.astype(np.int64), *_columns(tile))
         of_closed = np.where(closed < -1, n - 2 - closed, np.where(closed >= n, closed - n, closed))
-        of_closed = of_closed + np.arange(self.n_fibers) * (2 * n)
+        of_closed = of_closed + np.arange(self.n_fibers) * STRIDE
         place = np.minimum(np.searchsorted(code[by_code], of_closed), max(len(code) - 1, 0))
         blocked = np.where((closed != -1) & (code[by_code][place] == of_closed), by_code[place], -1)
         plan = np.where(closed != -1, kernels.CLOSED, kernels.FREE)
@@ -296,7 +299,7 @@ class Exposures:
         kernels.drop_collisions(rank, self.n_classes, poses, plan, load, dropped)
         n_dropped = np.bincount(np.repeat(np.arange(len(mine)), high - low), dropped[candidate], len(mine))
         bad = mine[(n_dropped > 0) | (high == low)]
-        slot = np.where(plan >= 0, np.append(slots, -1)[tile.target[plan]], -1)
+        slot = np.where(plan >= 0, row[plan], -1)
         return slot, tile.side[plan], bad
 
 
