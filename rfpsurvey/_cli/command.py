@@ -111,7 +111,7 @@ def read_assignment(keys) -> "tuple[Table, rs.Instrument | None]":
     table, _ = select_rows(table, keys.select)
     select = ", ".join(f"{name}={value}" for name, value in (keys.select or {}).items())
     table.meta.update(file=keys.path.name, select=select)
-    return table, None if planned is None else planned.instrument
+    return table, None if planned is None else next(iter(planned.stored.values()))[0]
 
 
 def units_of(path: Path, units: dict[str, str] | None) -> dict[str, str]:

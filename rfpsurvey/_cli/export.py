@@ -113,7 +113,7 @@ def convert(
     plan = read_plan(source) if tile is None else as_plan(tile)
     write_plan(plan, target, format=format, overwrite=overwrite)
     if planned is not None:
-        planned.put_instrument(target.parent)
+        planned.put_instruments(target.parent)
     n_assigned, n = int(plan["assigned"].sum()), len(plan)
     instrument = f" of {plan.meta['instrument']}" if plan.meta.get("instrument") else ""
     print(f"{target}: {n_assigned} of {n} fibers{instrument} have a target")

@@ -6,7 +6,7 @@ import warnings
 from collections import defaultdict
 from collections.abc import Iterable
 from contextlib import ExitStack, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
@@ -14,6 +14,7 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
+from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.targets import circle_text
 from rfpsurvey._assignment.constraints.text import listed_in, recorded_constraints
@@ -29,6 +30,7 @@ from rfpsurvey._field.score import score_tile
 from rfpsurvey._field.table import TILE_COLUMNS, only_with_target
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
+from rfpsurvey._instruments.states import instruments_at, is_dated
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_objects
@@ -36,6 +38,7 @@ from rfpsurvey._survey.folder import part_name, read_visits
 from rfpsurvey._survey.plan_file import keys_in, read_tiles
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_rows
+from rfpsurvey._survey.work import TIME
 from rfpsurvey.errors import InputError, RfpsurveyWarning, listed, number_of, warn
 
 EXPORTED = table_of(
@@ -63,8 +66,9 @@ class PlannedTiles:
 
     survey: Survey
     instrument: Instrument
-    content: bytes
-    """Content of the file of the instrument in folders of plans; empty for presets, which need no file."""
+    """The instrument of the survey, whose states of positioners can differ between tiles."""
+    stored: dict[int, tuple[Instrument, bytes]] = field(default_factory=dict)
+    """The instruments of the tiles that were returned, as their files describe them, and contents of these files."""
 
     @cached_property
     def parameters(self) -> dict:
@@ -86,11 +90,20 @@ class PlannedTiles:
             options = keys_in(self.survey.folder, ("allocator", "instrument", "visits", "rule")).options
             return AllocationOptions(**{name: options.get(name) for name in ("constraints", "keep_out")}).keep_out
 
-    def put_instrument(self, folder: Path) -> None:
-        """Write the file of the instrument to a folder of plans, unless the folder already contains it."""
-        path = folder / instrument_file(self.instrument.provenance["digest"])
-        if self.content and not path.is_file():
-            write_bytes(path, self.content)
+    def put_instruments(self, folder: Path) -> None:
+        """Write the files of the instruments of tiles to a folder of plans, unless the folder already contains them."""
+        for instrument, content in self.stored.values():
+            path = folder / instrument_file(instrument.provenance["digest"])
+            if content and not path.is_file():
+                write_bytes(path, content)
+
+    def instrument_at(self, time: str | None) -> Instrument:
+        """Return the instrument with the states of positioners at the time of a tile, as its file describes it."""
+        is_same = not is_dated(self.instrument)
+        model = self.instrument if is_same else instruments_at(self.instrument, Time([time], scale="utc"))[0]
+        if id(model) not in self.stored:  # instruments_at returns the same object for times with the same states
+            self.stored[id(model)] = _stored(model)
+        return self.stored[id(model)][0]
 
     def tile(self, row: int) -> Tile:
         """Return a tile, or raise an error if it has no plan, or if its poses are not those of the plan."""
@@ -101,11 +114,11 @@ class PlannedTiles:
         if len(visits) == 0:
             raise InputError(f"tile {name} has no positioner with a target")
         center = SkyCoord(*(float(cards[axis]) for axis in ("RA", "DEC")), unit="deg")
-        entry = self._entry(row, cards, center)
+        entry, instrument = self._entry(row, cards, center), self.instrument_at(cards.get(TIME))
         columns = ("positioner", "target_id", "ra", "dec", *({"fiber_type"} & {*visits.colnames}))
         scored = score_tile(
             visits[list(columns)],
-            self.instrument,
+            instrument,
             center=center,
             position_angle=float(cards["POSANG"]) * u.deg,
             positions="sky",
@@ -113,6 +126,7 @@ class PlannedTiles:
             parked_obstacles=bool(self.parameters.get("parked_obstacles", True)),
             constraints=["keep_out " + " ".join(entry["keep_out"].values())] if "keep_out" in entry else None,
         )
+        scored.table.meta["provenance"]["instrument"] = instrument.provenance  # without the keep-out circles
         return self._completed(scored, visits, entry, cards, row)
 
     def _entry(self, row: int, cards: dict, center: SkyCoord) -> dict:
@@ -157,7 +171,7 @@ class PlannedTiles:
         provenance, parameters = table.meta["provenance"], table.meta["provenance"]["parameters"]
         parameters |= {"allocator": self.parameters["allocator"], "survey": entry}
         parameters["epoch"] = cards.get("REFEPOCH", self.parameters.get("epoch"))
-        provenance |= {"catalog": self.survey.provenance["catalog"], "instrument": self.instrument.provenance}
+        provenance["catalog"] = self.survey.provenance["catalog"]
         table.meta["summary"]["unmet"] = [entry["unmet"]] if "unmet" in entry else []
         return Tile(describe(table, TILE_COLUMNS, COPIED))
 
@@ -174,7 +188,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
 
         model = key_objects.model_of(keys.instrument, time_of_tiles)
     else:
-        model = as_instrument(instrument)
+        model = as_instrument(instrument, may_be_dated=True)
     now, then = model.provenance, survey.provenance["instrument"]
     if now["digest"] != then.get("digest"):
         name, digest = then["name"], then.get("digest")
@@ -182,7 +196,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
             f"instrument must be that of the survey, {name} with the digest {digest}, got {model.name} with the digest "
             f"{now['digest']}; give the instrument as it was planned (instrument=)"
         )
-    return PlannedTiles(survey, *_stored(model))
+    return PlannedTiles(survey, model)
 
 
 def _stored(model: Instrument) -> tuple[Instrument, bytes]:
@@ -292,7 +306,7 @@ def export(
                 numbers = (tile.summary["n_assigned"], tile.summary["n_colliding"], " ".join(tile.summary["unmet"]))
                 records.append((name, path.name, len(plan), *numbers))
                 tell(number)
-        planned.put_instrument(folder)
+        planned.put_instruments(folder)
     except BaseException:
         if is_new:
             with suppress(OSError):

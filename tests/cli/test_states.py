@@ -129,6 +129,8 @@ def test_each_tile_of_a_survey_has_the_states_of_its_time(call, refused, broken,
         survey = rs.Survey.read(folder)
         assert survey.summary["n_fibers"] == 498 + 499
         assert not {"R+3C5", "R0C2"} & {*survey.tile(0)["positioner"].tolist()}
+        scores = [call("score {}", folder / f"tiles/000/{row:06d}.fits").out for row in (0, 1)]
+        assert ["1 stuck at the angles" in " ".join(out.split()) for out in scores] == [True, False]
     assert "1 broken, 0 stuck" in call(f"{site} {TIME}2026-03-01", broken, path).out
 
 

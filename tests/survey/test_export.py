@@ -211,6 +211,23 @@ def test_a_time_becomes_the_epoch_and_the_time_of_a_configuration(presets, tmp_p
     assert_allclose(plan["coord_epoch"], 2026.94, atol=0.005)
 
 
+def test_each_tile_has_the_states_of_positioners_at_its_time(presets, tmp_path):
+    """Regression: all tiles were left out, because the states of positioners must be those of one time."""
+    ids = presets["moons"].focal_plane.id.tolist()
+    states = Table({"id": ids[:300], "state": ["broken"] * 100 + ["stuck"] * 200})
+    states["theta"], states["phi"] = 40.0, 120.0
+    states["from"], states["to"] = ["2026-02-01"] * 300, ["2026-03-01"] * 200 + ["2026-12-01"] * 100
+    unusable = {11: set(), 12: {*ids[:300]}, 14: {*ids[200:300]}}
+    tiling = rs.Tiling.from_table(tiles(presets["moons"], date=["2026-01-10", "2026-02-10", "2026-03-10"]))
+    survey = plan(presets["moons"].with_states(states, time=tiling.times), tmp_path, tiling=tiling)
+    assert_same_score(survey, survey.export(output=tmp_path / "out"), tmp_path / "out")
+    for tile, expected in unusable.items():
+        plan_of_tile = rs.plans.read_plan(tmp_path / "out" / f"tile-{tile}.fits")
+        table = rs.score_tile(plan_of_tile).table
+        assert {*table["id"][np.isin(table["status"], ["disabled", "stuck"])].tolist()} == expected
+        assert not {*plan_of_tile["positioner"][plan_of_tile["assigned"]].tolist()} & expected
+
+
 def test_kinds_priorities_and_rules_are_in_the_table_of_a_tile(tmp_path):
     catalog = replace(living.targets(kinds=True), epoch="J2026.5")
     options = rs.AllocationOptions("repair", requirements=["sky=3", "standard=1"], constraints=["required 1003"])
