@@ -106,7 +106,7 @@ class Exposures:
                 self._add_targets(order, shares, state)
             schedules = [self._schedule(k, closed[k], uses, finished, rng) for k in range(len(self.groups))]
             bad = np.concatenate([np.empty(0, np.int64), *(schedule[2] for schedule in schedules)])
-            placed = np.concatenate([schedule[0].ravel() for schedule in schedules])
+            placed = np.concatenate([np.empty(0, np.int64), *(schedule[0].ravel() for schedule in schedules)])
             placed = np.bincount(placed[placed >= 0], minlength=len(self.needed))[self.slots]
             lost = finished & (placed < needed)
             value = self._value(finished & ~lost, shares)
