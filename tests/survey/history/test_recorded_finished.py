@@ -101,3 +101,14 @@ def check_numbers(program, catalog, needed, before, done, levels):
         assert bounds.get(value, most) >= most
     goal = weights.sum(axis=0)
     assert levels[-1]["bound_complete"] >= round(goal @ program.maximize(goal)) + before.sum()
+
+
+def test_a_survey_without_remaining_tiles_is_planned_again(tmp_path):
+    """Regression: the last record of a survey caused a ValueError of numpy."""
+    instrument, tiles, catalog, options = with_categories(0)
+    joint = rs.JointOptions(objective="finished", iterations=1, allocator=options)
+    survey = rs.plan_survey(catalog, instrument, tiles, allocator=joint, folder=tmp_path / "plan")
+    survey.record([{"tile": tile, "date": "2026-01-03", "state": "done"} for tile in range(len(tiles))])
+    expected = survey.state().observed.tolist()
+    assert survey.replan(instrument=instrument).outcomes["observed"].tolist() == expected
+    assert sum(expected) > 0
