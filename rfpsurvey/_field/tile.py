@@ -347,6 +347,18 @@ class Tile:
         ------
         InputError
             If the tile was scored or read from a file, or if ``n`` is not a positive whole number.
+
+        Examples
+        --------
+        >>> from astropy.coordinates import SkyCoord
+        >>> import rfpsurvey as rs
+        >>> center = SkyCoord("6h20m +23d")
+        >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=9000, rng=1)
+        >>> rs.plan_tile(sky, "moons", center).alternates(2)["positioner", "rank", "target_id", "planned"][:2].pprint()
+        positioner rank target_id planned
+        ---------- ---- --------- -------
+                 0    1      5645    3320
+                 0    2      6507    3320
         """
         from rfpsurvey._field.alternates import alternates_of_tile  # the module is not needed otherwise
 
