@@ -314,7 +314,8 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     n_in_reach = np.bincount(reach.owner, minlength=n)
     reach = reach.where(allocation.positioner_of_target[reach.target] < 0)
     n_free = np.bincount(reach.owner, minlength=n)
-    owner, target, blocked_by = _attempts(focal_plane, allocation, arms, reach, types, law)
+    xy, parked = allocation.xy_mm[:given], allocation.parked_obstacles
+    owner, target, _, blocked_by = find_attempts(focal_plane, xy, arms, reach, types, law, parked_obstacles=parked)
     possible = np.zeros(n, dtype=bool)
     possible[owner[[not blockers for blockers in blocked_by]]] = True
     reason = np.full(n, IdleReason.ALL_FREE_TARGETS_COLLIDE)
@@ -328,17 +329,21 @@ def find_idle_reasons(focal_plane: FocalPlane, allocation: Allocation, arms: Arm
     )
 
 
-def _attempts(plane, allocation, arms, reach, types, law):
-    """Return the positioner, the target, and the colliding arms and obstacles of each attempt."""
+def find_attempts(plane, xy, arms, reach, types, law, *, parked_obstacles):
+    """Return the positioner, the target, the elbow, and the colliding arms and obstacles of each attempt.
+
+    The attempts move one arm to a target in ``reach``, with a right (+1) or a left (-1) elbow; ``types`` are the fiber
+    types that the targets at the positions ``xy`` (mm) require. The other parameters are as in `find_idle_reasons`.
+    """
     problem = AllocationProblem(
         plane,
-        allocation.xy_mm[: allocation.n_given],
+        xy,
         reach,
-        np.zeros(allocation.n_given, dtype=np.int64),
+        np.zeros(len(xy), dtype=np.int64),
         (0.0,),
         fiber_type=types,
         options=AllocationOptions(
-            parked_obstacles=allocation.parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
+            parked_obstacles=parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
         ),
     )
     start, owner, target, side, _ = list_candidates(problem, reach, both_elbows=True)
@@ -351,7 +356,7 @@ def _attempts(plane, allocation, arms, reach, types, law):
     moves, hits = None, obstacle_hits(plane, start, segments)
     if law:
         motion, same = Motion(problem), law == "same_speed"
-        planned = plan_moves(plane, arms, law, allocation.parked_obstacles)
+        planned = plan_moves(plane, arms, law, parked_obstacles)
         moves = joined(motion.moves(owner, target, side, now), now, planned, np.arange(len(plane)))
         hits = np.concatenate([hits, motion.obstacle_hits(owner, moves)])
         for k in np.flatnonzero(~motion.turns(owner, moves) & is_moved):
@@ -365,4 +370,4 @@ def _attempts(plane, allocation, arms, reach, types, law):
     for moved, obstacle in np.unique(hits, axis=0).tolist():
         blocked_by[moved].append(-1 - obstacle)
     rows = np.flatnonzero(is_moved)
-    return owner[rows], target[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]
+    return owner[rows], target[rows], side[rows], [sorted(blocked_by[k], reverse=True) for k in rows.tolist()]

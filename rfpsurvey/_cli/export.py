@@ -36,6 +36,8 @@ class ExportKeys:
         Folder of the files, which is made if it does not exist.
     overwrite : bool, optional
         Replace existing files.
+    alternates : int, optional
+        Also write, for each file, a table with up to this number of alternates of each fiber.
     """
 
     folder: Path | None = None
@@ -50,9 +52,10 @@ class ExportKeys:
         "Instrument of the survey, if it was given in Python and is not a preset.",
     ] = None
     overwrite: bool = False
+    alternates: int | None = None
 
 
-@command(ExportKeys, "tiles format output overwrite", argument="folder", strict=True)
+@command(ExportKeys, "tiles format output overwrite alternates", argument="folder", strict=True)
 def export(keys: ExportKeys) -> list[str]:
     r"""Write tiles of a survey to files in the format of an observatory, one file for each tile.
 
@@ -61,14 +64,17 @@ def export(keys: ExportKeys) -> list[str]:
     rfpsurvey export plan --tiles 12-20 --format confsummary --output night1
     rfpsurvey export plan --tiles 3,5,7-9 --format fiberassign
     rfpsurvey export plan --format table --output tiles --strict
+    rfpsurvey export plan --tiles 12 --alternates 3
     """
     if keys.folder is None:
         raise rs.InputError("folder must be given: the folder of a survey")
-    options = {name: getattr(keys, name) for name in ("tiles", "format", "output", "instrument", "overwrite")}
+    names = ("tiles", "format", "output", "instrument", "overwrite", "alternates")
+    options = {name: getattr(keys, name) for name in names}
     table = rs.Survey.read(keys.folder).export(**options, progress=sys.stderr.isatty())
     for row in table[:MOST_FILES]:
         numbers = f"{row['n_assigned']} of {row['n_positioners']} positioners have a target"
         unmet = f"; not met: {row['unmet']}" if row["unmet"] else ""
+        unmet += f"; alternates: {row['alternates']}" if keys.alternates else ""
         print_text(f"tile {row['tile']}: {row['file']}, {numbers}, {row['n_colliding']} in collision{unmet}")
     if len(table) > MOST_FILES:
         print(f"and {number_of(len(table) - MOST_FILES, 'more file')}")

@@ -160,6 +160,8 @@ class FieldPlan(NamedTuple):
     """For the text of each constraint, sentences that state how the plan violates the constraint, except counts."""
     verdicts: Callable[[], list[Verdict]]
     """Function that returns the verdict of each constraint, except counts."""
+    targets: FieldTargets
+    """The targets that can be assigned, with their kinds and subpriorities in this plan."""
 
 
 def field_radius_rad(instrument: Instrument, projection: FieldProjection | ObservedField | None = None) -> float:
@@ -196,17 +198,23 @@ def find_reach(
     return FieldReach(applied, xy, fiber_type, perf_counter() - begin)
 
 
+def with_subpriorities(targets: FieldTargets, options: AllocationOptions) -> FieldTargets:
+    """Return the targets with the subpriorities of the options, which replace those of the catalog."""
+    given, is_known = options.subpriority, targets.columns.subpriority is not None
+    if given is None or (given == FEWEST_FIRST and is_known):  # a survey knows the remaining visits
+        return targets
+    values = to_subpriorities(given, targets.id, targets.extra)
+    return targets._replace(columns=targets.columns._replace(subpriority=values))
+
+
 def _assign(reach: FieldReach, projection, targets, options, rng, tell) -> Allocation:
     """Assign the targets of a field to which the constraints have been applied."""
     applied, others = reach.applied, {}
     if targets.others is not None:
         others["avoid"] = projection.project(targets.others)
     columns = targets.columns._replace(fiber_type=reach.fiber_type)
-    values = columns.subpriority
-    if options.subpriority is not None and (options.subpriority != FEWEST_FIRST or values is None):
-        values = to_subpriorities(options.subpriority, targets.id, targets.extra)
-    if values is not None:
-        columns, others["order"] = columns._replace(subpriority=values), service_order(values, targets.id)
+    if columns.subpriority is not None:
+        others["order"] = service_order(columns.subpriority, targets.id)
     elif options.breaks_ties:
         others["order"] = tie_order(reach.xy, None if targets.numbered else targets.id)
     others |= {"excluded": applied.excluded, "excludes_sky": applied.excludes_sky}
@@ -270,7 +278,7 @@ def plan_field(
     """
     reach = find_reach(instrument, projection, targets, options)
     applied, instrument = reach.applied, reach.applied.instrument
-    targets = targets._replace(columns=targets.columns._replace(kind=applied.kind))
+    targets = with_subpriorities(targets._replace(columns=targets.columns._replace(kind=applied.kind)), options)
     allocation = _assign(reach, projection, targets, options, rng, tell)
     begin = perf_counter()
     arms = allocation.place_arms(instrument.focal_plane)
@@ -305,7 +313,7 @@ def plan_field(
     columns = {"priority": targets.columns.priority, "category": targets.columns.category, **(targets.extra or {})}
     carried = {name: values_at(values, target) for name, values in columns.items() if values is not None}
     lon += np.where(lon < 0, 2 * np.pi, 0.0)
-    checks = applied.checks(*finished)
+    about = *applied.checks(*finished), targets._replace(others=None, around=None)
     return FieldPlan(
-        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *checks
+        instrument, allocation, arms, report, positioner, target, ids, lon, lat, kind, carried, seconds, *about
     )

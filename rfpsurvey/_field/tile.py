@@ -5,34 +5,23 @@ import os
 from functools import cached_property
 
 import astropy.units as u
-import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from astropy.time import Time
 
 from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import COPIED, describe, plot, show, to_html
-from rfpsurvey._common.read_tables import read_table
-from rfpsurvey._field.plan_files import find_instrument_file, write_plan
+from rfpsurvey._common.descriptions import plot, show, to_html
+from rfpsurvey._field.plan_files import write_plan
 from rfpsurvey._field.table import (
-    OUTCOMES_COLUMNS,
-    TILE_COLUMNS,
     TableOfTile,
     TargetsOfField,
     collision_shape,
-    id_column,
     same_table,
-    without_masks,
 )
+from rfpsurvey._field.tile_files import cards_of, check_tile, read_tile
 from rfpsurvey._field.verdicts import OUTCOMES, completeness_table
 from rfpsurvey._sky.time import to_time
-from rfpsurvey.errors import InputError, InputTypeError
-
-SUMMARY = ("n_positioners", "n_assigned", "n_colliding", "collision_rate", "seconds")
-MUST_HAVE = [f"summary.{name}" for name in SUMMARY]
-MUST_HAVE += [f"provenance.{name}" for name in ("instrument.name", "parameters.allocator", "catalog")]
-"""Entries of the ``meta`` of the table of each tile."""
 
 
 class Tile:
@@ -82,17 +71,7 @@ class Tile:
         self._made_from, self._field_targets = table, field_targets
         if isinstance(table, TableOfTile):
             return
-        if not isinstance(table, QTable):
-            raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
-        lacking = [name for name in ("summary", "provenance", "geometry") if name not in table.meta]
-        if lacking or "in_collision" not in table.colnames:
-            raise InputError("the table does not describe a tile: it lacks " + (", ".join(lacking) or "in_collision"))
-        for path in MUST_HAVE:
-            value = table.meta
-            for name in path.split("."):
-                value = value.get(name) if isinstance(value, dict) else None
-            if value is None:
-                raise InputError(f"the meta of a tile must have the entry {path}, got none")
+        check_tile(table)
 
     @property
     def table(self) -> QTable:
@@ -232,19 +211,7 @@ class Tile:
         InputError
             If the file does not exist or does not contain a tile.
         """
-        find_instrument_file(table := read_table(path), _io.to_path(path))
-        try:
-            table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
-            has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
-            table["target_id"] = id_column(table["target_id"], has_target)
-            tile = cls(describe(without_masks(table), TILE_COLUMNS, COPIED))
-        except KeyError as error:
-            raise InputError(f"{path} does not hold a tile: the column {error.args[0]} is missing") from None
-        except InputError as error:
-            raise InputError(f"{path} does not hold a tile: {error}") from None
-        if not tile.provenance.get("outcomes") or not _io.is_fits(_io.to_path(path)):
-            return tile
-        return cls(tile.table, describe(without_masks(read_table(path, hdu=2)), OUTCOMES_COLUMNS, COPIED))
+        return cls(*read_tile(path))
 
     def write(
         self,
@@ -278,22 +245,8 @@ class Tile:
         if format is not None:
             write_plan(self, path, format=format, overwrite=overwrite)
             return
-        parameters = self.provenance["parameters"]
-        cards = {
-            "INSTRUME": (self.instrument, "instrument"),
-            "RA": (parameters.get("ra_deg"), "[deg] right ascension of the field center"),
-            "DEC": (parameters.get("dec_deg"), "[deg] declination of the field center"),
-            "POSANG": (parameters.get("position_angle_deg"), "[deg] position angle of +y, north toward east"),
-            "NORTHOF": (parameters.get("north_of"), "frame or equinox that defines north"),
-            "RADESYS": ("ICRS", "frame of right ascensions and declinations"),
-            "REFEPOCH": (parameters.get("epoch"), "epoch of the target positions"),
-            "ALLOCATR": (parameters.get("allocator"), "allocator"),
-            "NASSIGN": (self.summary["n_assigned"], "positioners with a target"),
-            "NCOLLIDE": (self.summary["n_colliding"], "positioners in collision"),
-        }
-        cards = {name: card for name, card in cards.items() if card[0] is not None}
         others = {} if self.outcomes is None else {"OUTCOMES": self.outcomes}
-        _io.write_table(self.table, path, overwrite=overwrite, cards=cards, name="TILE", extensions=others)
+        _io.write_table(self.table, path, overwrite=overwrite, cards=cards_of(self), name="TILE", extensions=others)
 
     def plot(self, **options: object) -> object:
         """Plot the focal plane, as `rfpsurvey.plot.plot_focal_plane` does.
@@ -367,6 +320,49 @@ class Tile:
         from rfpsurvey._field.score import paths_of  # scoring imports this module
 
         return paths_of(self, instrument, **options)
+
+    def alternates(self, n: int = 3) -> QTable:
+        """Return, for each fiber, other targets that it can observe while all other arms remain as planned.
+
+        The arm at an alternate collides with no other arm and no obstacle, also while arms unfold if a constraint
+        refers to this motion. Each alternate is checked alone; two swaps of neighbors need a new check. Alternates have
+        a role of the planned target (``science`` without one), their fiber type, and are not excluded by constraints.
+        Requirements, required targets, rules on the distribution of fibers, and planned paths are not checked.
+
+        Parameters
+        ----------
+        n : int, optional
+            Largest number of alternates of each fiber.
+
+        Returns
+        -------
+        QTable
+            Table with a row for each fiber and alternate. The best alternates are first: those with the highest
+            priority, then the highest subpriority, then the closest ones to the fiber. Columns: ``positioner``,
+            ``rank`` (from 1), ``target_id``, ``ra``, ``dec``, ``x``, ``y``, ``kind``, ``priority``, ``fiber_type``,
+            ``handedness`` (the last four as far as they apply), ``planned`` (the identifier of the planned target,
+            masked without one) and ``separation`` (from this target, NaN without one).
+
+        Raises
+        ------
+        InputError
+            If the tile was scored or read from a file, or if ``n`` is not a positive whole number.
+
+        Examples
+        --------
+        >>> from astropy.coordinates import SkyCoord
+        >>> import rfpsurvey as rs
+        >>> center = SkyCoord("6h20m +23d")
+        >>> sky = rs.synthetic_catalog("uniform", center, 0.2 * u.deg, n_targets=9000, rng=1)
+        >>> rs.plan_tile(sky, "moons", center).alternates(2)["positioner", "rank", "target_id", "planned"][:2].pprint()
+        positioner rank target_id planned
+        ---------- ---- --------- -------
+                 0    1      5645    3320
+                 0    2      6507    3320
+        """
+        from rfpsurvey._field.alternates import alternates_of_tile  # the module is not needed otherwise
+
+        return alternates_of_tile(self, n)
 
     def __len__(self):
         return self.summary["n_positioners"] if isinstance(self._made_from, TableOfTile) else len(self.table)

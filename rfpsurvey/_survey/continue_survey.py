@@ -1,6 +1,7 @@
 """The function `continue_survey`, which plans the rest of a survey from its folder alone."""
 
 import os
+import warnings
 from collections.abc import Callable
 from concurrent.futures import Executor
 from dataclasses import replace
@@ -13,10 +14,11 @@ from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.states import instruments_at
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.cadences import Cadences
-from rfpsurvey._survey.plan import plan_survey
+from rfpsurvey._survey.plan import plan_survey, prepare_request
 from rfpsurvey._survey.plan_file import call_of, keys_in
+from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.survey import Survey
-from rfpsurvey.errors import InputError, listed
+from rfpsurvey.errors import InputError, RfpsurveyWarning, listed
 
 
 def continue_survey(
@@ -64,9 +66,21 @@ def continue_survey(
     if folder is None:
         raise InputError("the rest of a survey can be planned only in its folder, got a survey without a folder")
     folder = to_path(folder)
-    keys = keys_in(folder, changes)
-    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **changes)
+    call = call_in(folder, **changes)
     return plan_survey(**call, folder=folder, resume=True, executor=executor, progress=progress)
+
+
+def call_in(folder: Path, **given: object) -> dict:
+    """Return the parameters of `plan_survey` for the rest of the survey in a folder; ``given`` replaces some."""
+    keys = keys_in(folder, given)
+    return call_of(replace(keys, output=replace(keys.output, replan=True)), **given)
+
+
+def request_in(folder: Path, **given: object) -> Request:
+    """Return the request of the rest of the survey in a folder, without the warnings of its plan."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RfpsurveyWarning)
+        return prepare_request(**call_in(folder, **given), executor=None)
 
 
 def cadences_in(folder: Path) -> Cadences:

@@ -22,7 +22,7 @@ from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import COPIED, Column, describe, table_of, with_unit
 from rfpsurvey._common.executors import Progress
 from rfpsurvey._common.files import check_parent, suffix_of, to_path
-from rfpsurvey._common.io import write_bytes, writing_to, written
+from rfpsurvey._common.io import write_bytes, write_table, writing_to, written
 from rfpsurvey._common.units import to_plain
 from rfpsurvey._field.plan_files import TABLE, as_plan, file_name, write_plan
 from rfpsurvey._field.plan_values import instrument_file
@@ -34,12 +34,13 @@ from rfpsurvey._instruments.states import instruments_at, is_dated
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_objects
+from rfpsurvey._survey.alternates import SurveyAlternates
 from rfpsurvey._survey.folder import part_name, read_visits
 from rfpsurvey._survey.plan_file import keys_in, read_tiles
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_rows
 from rfpsurvey._survey.work import TIME
-from rfpsurvey.errors import InputError, RfpsurveyWarning, listed, number_of, warn
+from rfpsurvey.errors import InputError, RfpsurveyWarning, check_whole, listed, number_of, warn
 
 EXPORTED = table_of(
     Column("tile", "identifier of the tile"),
@@ -48,8 +49,9 @@ EXPORTED = table_of(
     Column("n_assigned", "positioners with a target"),
     Column("n_colliding", "positioners in collision"),
     Column("unmet", "requirements and constraints that are not met"),
+    Column("alternates", "name of the file with the alternates of the fibers"),
 )
-"""Columns of the table that `Survey.export` returns."""
+"""Columns of the table that `Survey.export` returns; the last one only if alternates are requested."""
 MOST_NAMES = 10
 """Largest number of tiles that a message lists."""
 FIELDS = 1.5
@@ -273,10 +275,14 @@ def export(
     folder: object,
     instrument: Instrument | str | None,
     overwrite: bool,
+    alternates: int | None,
     progress: object,
 ) -> QTable:
     """Write tiles of a survey to files of plans; see `Survey.export`."""
-    folder, planned = to_path(folder), planned_tiles(survey, instrument)
+    folder, planned, others = to_path(folder), planned_tiles(survey, instrument), None
+    if alternates is not None:
+        check_whole(alternates, "alternates")
+        others = SurveyAlternates(survey, **({} if instrument is None else {"instrument": instrument}))
     rows = range(len(survey)) if tiles is None else rows_of_tiles(survey, tiles)
     records, left_out, said, n_stuck = [], {}, defaultdict(list), 0
     if is_new := not folder.is_dir():
@@ -305,6 +311,12 @@ def export(
                     said[text].append(path.name)
                 numbers = (tile.summary["n_assigned"], tile.summary["n_colliding"], " ".join(tile.summary["unmet"]))
                 records.append((name, path.name, len(plan), *numbers))
+                if others is not None:
+                    usual = file_name(plan, name, TABLE)
+                    path = folder / Path(usual.replace("tile-", "alternates-", 1)).with_suffix(".ecsv")
+                    temporary = stack.enter_context(writing_to(path, (".ecsv",), overwrite=overwrite))
+                    write_table(others.of_tile(row, alternates), temporary)
+                    records[-1] += (path.name,)
                 tell(number)
         planned.put_instruments(folder)
     except BaseException:
@@ -319,8 +331,9 @@ def export(
     if left_out:
         names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
         warn(f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})")
-    columns = [np.array(values) for values in zip(*records, strict=True)] or [np.empty(0)] * len(EXPORTED)
-    table = QTable(dict(zip(EXPORTED, columns, strict=True)), meta={"folder": str(folder), "left_out": left_out})
+    names = [*EXPORTED][: len(EXPORTED) - (others is None)]
+    columns = [np.array(values) for values in zip(*records, strict=True)] or [np.empty(0)] * len(names)
+    table = QTable(dict(zip(names, columns, strict=True)), meta={"folder": str(folder), "left_out": left_out})
     return describe(table, EXPORTED)
 
 

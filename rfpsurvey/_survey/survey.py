@@ -171,6 +171,7 @@ class Survey(Living):
         output: str | os.PathLike = ".",
         instrument: object = None,
         overwrite: bool = False,
+        alternates: int | None = None,
         progress: object = False,
     ) -> QTable:
         """Write tiles to files of plans, one file for each tile, which `~rfpsurvey.plans.read_plan` reads.
@@ -194,14 +195,20 @@ class Survey(Living):
             The instrument of the survey, if its plan file does not determine it.
         overwrite : bool, optional
             Whether to replace existing files.
+        alternates : int, optional
+            Largest number of alternates of each fiber, which are written to a table ``alternates-TILE.ecsv`` beside
+            each file: `Tile.alternates <rfpsurvey.Tile>` with the columns ``tile``, ``n_left`` (visits of the target
+            that remain if all tiles are observed as planned; 1 for standards and sky positions) and ``n_elsewhere``
+            (number of other tiles that observe the target). Targets with remaining visits are first.
         progress : bool or callable, optional
             Whether to show the progress, as in `plan_survey`.
 
         Returns
         -------
         QTable
-            Table with a row for each file: ``tile``, ``file``, ``n_positioners``, ``n_assigned``, ``n_colliding`` and
-            ``unmet``. ``meta["left_out"]`` contains the tiles that were left out, with the reasons.
+            Table with a row for each file: ``tile``, ``file``, ``n_positioners``, ``n_assigned``, ``n_colliding``,
+            ``unmet`` and, if requested, ``alternates`` (name of the file). ``meta["left_out"]`` contains the tiles that
+            were left out, with the reasons.
 
         Raises
         ------
@@ -212,7 +219,7 @@ class Survey(Living):
         """
         from rfpsurvey._survey.export import export  # the module imports this one
 
-        options = {"instrument": instrument, "overwrite": overwrite, "progress": progress}
+        options = {"instrument": instrument, "overwrite": overwrite, "alternates": alternates, "progress": progress}
         return export(self, tiles, format=format, folder=output, **options)
 
     def __iter__(self) -> Iterator[QTable]:

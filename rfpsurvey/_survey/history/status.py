@@ -111,7 +111,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     record = json.loads(json.dumps(state.record))  # a survey without events lacks the record of its state
     is_planned = record == survey.provenance.get("events", None if state.events.files else record)
     left = wanted - observed
-    planned = np.minimum(_planned(survey, state, is_planned=is_planned), left)
+    planned = np.minimum(count_planned(survey, state, is_planned=is_planned), left)
     not_planned, n_added = left - planned, len(state) - len(survey.outcomes)
     # targets that were added after the last plan are not assigned
     code = np.pad(survey.outcomes["outcome"], (0, n_added), constant_values=Outcome.IN_REACH_NOT_ASSIGNED)
@@ -170,7 +170,7 @@ def _failures(state: SurveyState) -> list[dict]:
     ]
 
 
-def _planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:
+def count_planned(survey: Survey, state: SurveyState, *, is_planned: bool) -> np.ndarray:
     """Return the number of visits of each target in the tiles that will be observed."""
     if is_planned:
         observed = np.asarray(survey.outcomes["observed"]).astype(np.int64)

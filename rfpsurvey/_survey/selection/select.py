@@ -17,10 +17,10 @@ from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog
+from rfpsurvey._survey.continue_survey import call_in
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.joint.fixed import JointOptions, as_joint
 from rfpsurvey._survey.plan import prepare_request
-from rfpsurvey._survey.plan_file import call_of, keys_in
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.selection.alternate import generations_of
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities
@@ -215,8 +215,7 @@ def check_without_cadences(survey: object) -> None:
 def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:
     """Compute the selection probabilities of a survey in a folder; see `Survey.select`."""
     given = {name: options.pop(name) for name in ("allocator", "instrument", "rule") if name in options}
-    keys = keys_in(survey.folder, given)
-    call = call_of(replace(keys, output=replace(keys.output, replan=True)), **given)
+    call = call_in(survey.folder, **given)
     call["catalog"] = call.pop("visits")
     options_of_tiles, joint = as_joint(call["allocator"], "color")
     plain = replace(options_of_tiles, subpriority=None)  # each realization has its own subpriorities
