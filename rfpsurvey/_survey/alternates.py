@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable
 
+from rfpsurvey._assignment.rules import FEWEST_FIRST
 from rfpsurvey._common.units import from_lonlat
 from rfpsurvey._field.alternates import PlannedField, find_alternates
 from rfpsurvey._field.plan import with_subpriorities
@@ -56,7 +57,9 @@ class SurveyAlternates:
         parked = options.parked_obstacles
         arms = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked, clip=True)
         targets = job.field.targets._replace(columns=job.field.targets.columns._replace(kind=reach.applied.kind))
-        targets, catalog_row, kind = with_subpriorities(targets, options), job.field.row, targets.columns.kind
+        if options.subpriority != FEWEST_FIRST:  # the remaining visits decide first in any case
+            targets = with_subpriorities(targets, options)
+        catalog_row, kind = job.field.row, targets.columns.kind
         pairs = reach.allowed.where(~np.isin(catalog_row, visits["target_row"])[reach.allowed.target])
         planned = self._planned[catalog_row].astype(int)
         left = np.maximum(request.builder.left[job.field.slot] - planned, 0)
