@@ -57,7 +57,9 @@ class SurveyAlternates:
         parked = options.parked_obstacles
         arms = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked, clip=True)
         targets = job.field.targets._replace(columns=job.field.targets.columns._replace(kind=reach.applied.kind))
-        if options.subpriority != FEWEST_FIRST:  # the remaining visits decide first in any case
+        if options.subpriority == FEWEST_FIRST:  # here, the most remaining visits come first
+            targets = targets._replace(columns=targets.columns._replace(subpriority=None))
+        else:
             targets = with_subpriorities(targets, options)
         catalog_row, kind = job.field.row, targets.columns.kind
         pairs = reach.allowed.where(~np.isin(catalog_row, visits["target_row"])[reach.allowed.target])
