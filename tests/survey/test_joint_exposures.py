@@ -168,9 +168,11 @@ def repeated(seed, roles):
 
 @pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 60), marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("roles", ["science", "kinds", "several"])
-def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
+@pytest.mark.parametrize("more", [100, 0])
+def test_plans_of_chosen_targets(monkeypatch, roles, more, seeds):
     """The plans keep all limits, the bounds are those of all plans, and most plans are optimal or nearly so."""
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
+    monkeypatch.setattr(exposures, "MORE", more)
     total, possible = 0, 0
     for seed in seeds:
         instrument, tiles, catalog, options, needs = repeated(seed, roles)
@@ -193,7 +195,7 @@ def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
                 assert n >= min(need.minimum, m), seed
         assert not any(np.asarray(part["in_collision"]).any() for part in survey), seed
         total, possible = total + done[-1], possible + sums[-1]
-    assert total >= 0.95 * possible
+    assert total >= (0.95 if more else 0.8) * possible
 
 
 @pytest.mark.parametrize("share", ["category", "b=2 a=0.5"])

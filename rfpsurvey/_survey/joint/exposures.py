@@ -20,8 +20,8 @@ from rfpsurvey._survey.joint.shares import UNITS, Shares
 from rfpsurvey._survey.work import reach_of
 
 # Number of reachable pairs of all tiles above which the search considers only chosen targets; number of further targets
-# that it considers, as a fraction of the chosen ones.
-MOST_PAIRS, FURTHER = 150_000, 0.1
+# that it considers, as a fraction of the chosen ones, and in addition.
+MOST_PAIRS, FURTHER, MORE = 150_000, 0.1, 100
 # Number of plans that are made, and number of turns in which the exposures of a plan are exchanged.
 ROUNDS, TURNS = 8, 30
 # Largest number of variables of a linear program.
@@ -125,8 +125,9 @@ class Exposures:
         rest, result = rng.permutation(self.slots[~finished]), list(plans)
         for level in range(self.n_classes):
             n = int((finished & (rank == level)).sum())
-            listed[rest[self.class_of[rest] == level][: int(FURTHER * n) + 100]] = True
+            listed[rest[self.class_of[rest] == level][: int(FURTHER * n) + MORE]] = True
         for tiles, kept, (slot, side, _) in zip(self.groups, closed, schedules, strict=True):
+            listed[slot[slot >= 0]] = True  # also targets of which some visits were omitted
             for k, tile in enumerate(tiles):
                 is_closed = kept[k] != -1
                 slots = np.where(is_closed, plans[tile].slot, slot[k])
