@@ -168,10 +168,12 @@ def repeated(seed, roles):
 
 @pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 60), marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("roles", ["science", "kinds", "several"])
-def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
+@pytest.mark.parametrize("more", [100, 0])
+def test_plans_of_chosen_targets(monkeypatch, roles, more, seeds):
     """The plans keep all limits, the bounds are those of all plans, and most plans are optimal or nearly so."""
     monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
     monkeypatch.setattr(exposures, "FEW_EXPOSURES", 0)
+    monkeypatch.setattr(exposures, "MORE", more)
     total, possible = 0, 0
     for seed in seeds:
         instrument, tiles, catalog, options, needs = repeated(seed, roles)
@@ -194,7 +196,7 @@ def test_plans_of_chosen_targets(monkeypatch, roles, seeds):
                 assert n >= min(need.minimum, m), seed
         assert not any(np.asarray(part["in_collision"]).any() for part in survey), seed
         total, possible = total + done[-1], possible + sums[-1]
-    assert total >= 0.95 * possible
+    assert total >= (0.95 if more else 0.8) * possible
 
 
 @pytest.mark.parametrize("share", ["category", "b=2 a=0.5"])
@@ -257,3 +259,21 @@ def test_added_sky_positions(monkeypatch):
         visits = np.bincount(slots, minlength=8)  # those of finished targets only
         assert n_finished == survey.summary["joint"]["levels"][-1]["n_complete"] == (visits > 0).sum(), seed
         assert not survey.tiles["n_unmet"].any()
+
+
+def test_targets_that_need_more_visits_than_there_are_exposures(monkeypatch):
+    """No bound counts them, although several fibers reach them, and they use no fibers in place of other targets."""
+    monkeypatch.setattr(exposures, "MOST_PAIRS", 0)
+    monkeypatch.setattr(exposures, "MORE", 0)
+    for seed in range(8):
+        instrument, tiles, catalog, options, _ = repeated(seed, "science")
+        is_long = np.arange(len(catalog)) % 2 == 0
+        visits = np.where(is_long, len(tiles) + 1, 1)
+        catalog, numbers = replace(catalog, visits=visits, priority=is_long.astype(float)), []
+        for some in (catalog, replace(catalog, visits=np.where(is_long, 0, visits))):
+            for iterations in (0, 1):
+                joint = rs.JointOptions(objective="finished", iterations=iterations, allocator=options)
+                levels = rs.plan_survey(some, instrument, tiles, allocator=joint).summary["joint"]["levels"]
+                numbers.append(levels[-1]["n_complete"])
+            numbers.append(levels[-1]["bound_complete"])
+        assert numbers[:3] == numbers[3:], seed

@@ -20,8 +20,8 @@ from rfpsurvey._survey.joint.shares import UNITS, Shares
 from rfpsurvey._survey.work import reach_of
 
 # Numbers of reachable pairs of all tiles, and of exposures of each field, above which the search considers only chosen
-# targets; number of further targets that it considers, as a fraction of the chosen ones.
-MOST_PAIRS, FEW_EXPOSURES, FURTHER = 150_000, 3, 0.1
+# targets; number of further targets that it considers, as a fraction of the chosen ones, and in addition.
+MOST_PAIRS, FEW_EXPOSURES, FURTHER, MORE = 150_000, 3, 0.1, 100
 # Number of plans that are made, and number of turns in which the exposures of a plan are exchanged.
 ROUNDS, TURNS = 8, 30
 # Largest number of variables of a linear program.
@@ -71,6 +71,10 @@ class Exposures:
         self.slots, self.target = np.unique(slot[order], return_inverse=True)
         self.target = self.target.reshape(-1)
         self.room = np.repeat(self.number, self.n_fibers)
+        n = len(self.number)
+        place = np.unique(self.target * n + self.fiber // self.n_fibers)  # a tile observes a target at most once
+        self.can_finish = np.bincount(place // max(n, 1), self.number[place % max(n, 1)], len(self.slots))
+        self.can_finish = self.can_finish >= self.needed[self.slots]  # whether enough tiles reach each target
 
     def _equal_tiles(self, fixed: dict) -> list[np.ndarray]:
         """Return the rows of the tiles of each field, without fixed tiles."""
@@ -101,6 +105,7 @@ class Exposures:
         room = np.concatenate([np.empty(0, np.int64), *((slot == -1).sum(axis=0) for slot in closed)])
         needed, rank = self.needed[self.slots], self.class_of[self.slots]
         order = np.lexsort((rng.random(len(needed)), needed, np.zeros(len(needed)) + first, rank))
+        order = order[self.can_finish[order]]
         uses, finished = np.zeros(len(self.fiber), np.int64), np.zeros(len(needed), dtype=bool)
         pairs = self._pairs._replace(most=self._pairs.most.copy())
         state, best = (pairs, uses, room, finished), None
@@ -126,8 +131,9 @@ class Exposures:
         rest, result = rng.permutation(self.slots[~finished]), list(plans)
         for level in range(self.n_classes):
             n = int((finished & (rank == level)).sum())
-            listed[rest[self.class_of[rest] == level][: int(FURTHER * n) + 100]] = True
+            listed[rest[self.class_of[rest] == level][: int(FURTHER * n) + MORE]] = True
         for tiles, kept, (slot, side, _) in zip(self.groups, closed, schedules, strict=True):
+            listed[slot[slot >= 0]] = True  # also targets of which some visits were omitted
             for k, tile in enumerate(tiles):
                 is_closed = kept[k] != -1
                 slots = np.where(is_closed, plans[tile].slot, slot[k])
@@ -175,7 +181,7 @@ class Exposures:
         candidates that `EqualTiles.solve` returns, is always None.
         """
         counted, before = (np.append(weights, 0.0)[self.class_of] > 0), self.is_finished
-        mine = counted[self.slots]
+        mine = counted[self.slots] & self.can_finish
         bound = min(self._by_capacity(mine, shares), self.relax(mine.astype(float), deadline, shares)[0])
         return (bound if shares is not None else np.floor(bound) + int((before & counted).sum())), None
 
@@ -186,7 +192,9 @@ class Exposures:
             return float(np.searchsorted(np.cumsum(needed), room, side="right"))
         group, low, high = shares.group[self.slots], 0.0, 1.0 / shares.weight.min()
         before, sizes = shares.count(self.is_finished), shares.size * shares.weight
-        sums = [np.append(0, np.cumsum(np.sort(self.needed[self.slots][group == k]))) for k in range(len(sizes))]
+        sums = [
+            np.append(0, np.cumsum(np.sort(self.needed[self.slots][counted & (group == k)]))) for k in range(len(sizes))
+        ]
 
         def is_possible(fraction):
             number = np.maximum(fraction * sizes - before, 0.0)
@@ -207,8 +215,7 @@ class Exposures:
         fibers, number of visits, weight and group. Large programs are not solved.
         """
         needed = self.needed[self.slots]
-        able = np.bincount(self.target, self.room[self.fiber], len(needed))
-        mine = np.flatnonzero(((weights > 0) & (able >= needed))[self.target])
+        mine = np.flatnonzero(((weights > 0) & self.can_finish)[self.target])
         rows, number = np.unique(self.target[mine], return_counts=True)
         order = np.full(len(needed), 2)
         group = np.zeros(len(rows), np.int64) if shares is None else shares.group[self.slots[rows]]
