@@ -338,6 +338,7 @@ def _parameter(name: str, annotation: Any, default: object, info: Any) -> Parame
 def _help(key: Key) -> str:
     """Return the help of a key, with its default value."""
     shown = key_objects.default_text(key).strip('"')
+    shown = "the current folder" if shown == "." else shown
     return key.text if shown in ("...", "false") else f"{key.text} By default, {shown}."
 
 

@@ -26,6 +26,7 @@ from rfpsurvey._field.plan_values import (
     texts_of_lost,
     to_keywords,
     to_type,
+    to_wok,
     without_keywords,
 )
 from rfpsurvey._sky.arrays import last_role
@@ -106,10 +107,7 @@ def read(path: Path) -> QTable:
     else:
         raise InputError(f"{path}: the table FIBERMAP must have xwok and ywok, or xFocal and yFocal, got neither")
     assigned = rows.pop("assigned") == 1
-    category = rows.get("category", np.full(n, "", dtype="U1"))
-    kind = np.where(assigned, "science", "").astype("U8")
-    for word in ("sky", "standard"):
-        kind[np.char.startswith(category, word)] = word
+    kind = _kinds(rows.get("category", np.full(n, "", dtype="U1")), assigned)
     columns = {"kind": kind, "assigned": assigned, "x": xy[0], "y": xy[1]}
     for name, native in NATIVE.items():
         if native in rows:
@@ -155,6 +153,8 @@ def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
     names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
     texts = texts_of_lost(plan, names, FORMAT)
+    if "category" in plan.colnames and (_categories(plan) != np.asarray(plan["category"]).astype(str)).any():
+        texts.append("the categories that do not state the kind of their targets")
     return texts + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
 
 
@@ -172,17 +172,6 @@ def neglected(plan: QTable, sky: bool) -> list[str]:
     offsets = np.array([to_plain(plan[name]) for name in ("delta_ra", "delta_dec")])
     n = int((~np.isin(offsets, (0, MISSING)) & np.isfinite(offsets)).any(axis=0).sum())
     return [f"the offsets delta_ra and delta_dec of {number_of(n, 'target')} are neglected"] if n else []
-
-
-def to_wok(x, y, position_angle: float) -> tuple:
-    """Convert focal coordinates of points to wok coordinates; the position angle is in degrees.
-
-    The +y axis of focal coordinates points north. Focal coordinates are wok coordinates rotated clockwise by the
-    position angle.
-    """
-    c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
-    with np.errstate(invalid="ignore"):  # infinite coordinates become NaN
-        return c * x - s * y, s * x + c * y
 
 
 @contextmanager
@@ -349,8 +338,9 @@ def _given(plan: QTable, struct: dict) -> dict:
         given.setdefault(name, np.full(len(plan), value))
     first = [t if t else "BOSS" for t in plain["fiber_type"].tolist()]
     given["fiberType"] = np.array([t if t in FIBERS else "NONE" for t in first])
-    category = plain.get("category", last_role(plain["kind"].astype(str))).astype(str)
-    given["category"] = np.where(np.isin(category, ("sky", "standard")), _joined(category, first), category)
+    category = _categories(plan)
+    joined = [f"{c}_{t.lower()}" for c, t in zip(category.tolist(), first, strict=True)]
+    given["category"] = np.where(np.isin(category, ("sky", "standard")), joined, category)
     given["xwok"], given["ywok"] = _coded(x), _coded(y)
     angle = plan.meta.get("position_angle")
     focal = (np.full(len(plan), np.nan),) * 2 if angle is None else to_wok(x, y, -angle)
@@ -361,9 +351,17 @@ def _given(plan: QTable, struct: dict) -> dict:
     return given
 
 
-def _joined(category, fibers):
-    """Return categories that contain the fiber type, such as ``sky_boss`` for ``sky`` and BOSS."""
-    return np.array([f"{c}_{t.lower()}" for c, t in zip(category.tolist(), fibers, strict=True)])
+def _kinds(category: np.ndarray, assigned: np.ndarray) -> np.ndarray:
+    """Return the kinds of targets, which their categories state, such as ``sky_boss``."""
+    is_kind = [np.char.startswith(category, word) for word in ("sky", "standard")]
+    return np.select(is_kind, ("sky", "standard"), np.where(assigned, "science", ""))
+
+
+def _categories(plan: QTable) -> np.ndarray:
+    """Return the category of each target or, if it states another kind than that of the target, this kind."""
+    kind = last_role(np.asarray(plan["kind"]).astype(str))
+    category = np.asarray(plan["category"] if "category" in plan.colnames else kind).astype(str)
+    return np.where((kind == "") | (_kinds(category, plan["assigned"]) == kind), category, kind)
 
 
 def _check_text(values: np.ndarray, name: str, path: Path) -> None:

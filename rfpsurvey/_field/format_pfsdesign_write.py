@@ -105,7 +105,7 @@ def write(plan: QTable, path: Path, *, overwrite: bool) -> None:
 
 def file_name(plan: QTable, _: str) -> str:
     """Return the name of the file of a design, which contains its identifier."""
-    return f"pfsDesign-0x{_identifier(plan, _rows(plan, Path('a design'))):016x}.fits"
+    return f"pfsDesign-0x{_identifier(plan, _rows(plan, Path('pfsDesign'))):016x}.fits"
 
 
 def design_id(fiber: np.ndarray, ra: np.ndarray, dec: np.ndarray) -> int:

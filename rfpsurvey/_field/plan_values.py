@@ -210,3 +210,14 @@ def check_instrument(plan: QTable, path: Path, what: str, *names: str) -> None:
     instrument = plan.meta["instrument"]
     if instrument not in names:
         raise InputError(f"{path}: the instrument of {what} must be {' or '.join(names)}, got {instrument}")
+
+
+def to_wok(x, y, position_angle: float) -> tuple:
+    """Convert focal coordinates of points to wok coordinates; the position angle is in degrees.
+
+    The +y axis of focal coordinates points north. Focal coordinates are wok coordinates rotated clockwise by the
+    position angle.
+    """
+    c, s = np.cos(np.deg2rad(position_angle)), np.sin(np.deg2rad(position_angle))
+    with np.errstate(invalid="ignore"):  # infinite coordinates become NaN
+        return c * x - s * y, s * x + c * y

@@ -31,6 +31,8 @@ def moment_of(value: object, what: str) -> datetime:
     """Convert a Time, or text in ISO 8601, to a datetime; text without a time zone is UTC."""
     with refusing(f"{what} must be a Time or text such as '2021-05-14T00:00:00'", value, str, Time):
         if isinstance(value, Time):
+            if value.scale == "local":  # cannot be converted to UTC
+                raise ValueError
             return value.utc.to_datetime(timezone=UTC)
         moment = datetime.fromisoformat(value)
     return moment.replace(tzinfo=UTC) if moment.tzinfo is None else moment.astimezone(UTC)

@@ -2,7 +2,6 @@
 
 import hashlib
 import os
-import warnings
 from bisect import bisect_left, bisect_right
 from collections import Counter
 from dataclasses import replace
@@ -12,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import astropy.units as u
-import erfa
 import numpy as np
 from astropy.table import Column, Table
 from astropy.time import Time
@@ -286,10 +284,9 @@ def moments_at(time: object) -> list[datetime]:
     """Return the different times at which states are evaluated, in ascending order, or raise an error."""
     if time is None:
         return []
-    from rfpsurvey._sky.time import to_time
+    from rfpsurvey._sky.time import any_year, to_time
 
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)
+    with any_year():
         return sorted({moment_of(moment, "time") for moment in to_time(time, "time").ravel()})
 
 

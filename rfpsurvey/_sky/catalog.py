@@ -18,7 +18,7 @@ from rfpsurvey._common.files import lacks_units
 from rfpsurvey._sky import tables as _tables
 from rfpsurvey._sky.arrays import CatalogArrays, extra_columns, to_kinds
 from rfpsurvey._sky.catalog_files import EXACT, exact_columns, origin_of, path_and_name, read_table
-from rfpsurvey._sky.time import known_epochs, move_coordinates, moving, to_time
+from rfpsurvey._sky.time import any_year, known_epochs, move_coordinates, moving, to_time
 from rfpsurvey.errors import InputError, check_keywords, check_switch, number_of, refusal, warn
 
 _PER_TARGET, TEXTS = _tables.PER_TARGET, ("kind", "category", "fiber_type")
@@ -373,7 +373,8 @@ class Catalog:
             raise InputError(f"the catalog has proper motions but no epoch to which the positions refer; {remedy}")
         if not time.isscalar and time.shape != (len(self),):
             raise InputError(f"time must be one time or have the shape ({len(self)},), got {time.shape}")
-        years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
+        with any_year():
+            years = np.broadcast_to((time.tdb - self.epoch.tdb).to_value(u.yr), len(self))
         return self._take(slice(None), coord=move_coordinates(self.coord, years), epoch=time)
 
     def within(self, center: SkyCoord | str, radius: u.Quantity) -> "Catalog":

@@ -1,10 +1,14 @@
 """Epochs and times of observations as Time objects, and proper motions, which are motions along straight lines."""
 
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from datetime import date, datetime
 from numbers import Number
 from typing import TYPE_CHECKING
 
 import astropy.units as u
+import erfa
 import numpy as np
 from astropy.coordinates import SkyCoord
 from astropy.time import Time
@@ -20,6 +24,14 @@ if TYPE_CHECKING:
 FIRST, LAST = 1700, 2300
 OF_CONDITIONS = "the time of the observing conditions"
 DATED = Time, date, np.datetime64
+
+
+@contextmanager
+def any_year() -> Iterator[None]:
+    """Suppress the warnings of ERFA for years whose leap seconds are unknown; also usable as a decorator."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", erfa.ErfaWarning)
+        yield
 
 
 def to_time(value: object, name: str, *, gaps: bool = False, scalar: bool = False) -> Time:
@@ -64,6 +76,8 @@ def to_moment(value: object, name: str) -> Time:
 def _of_date(value: object) -> Time | None:
     """Return the Time for a Time, for dates, or for text in ISO 8601; None for a number, also as text."""
     if isinstance(value, Time):
+        if value.scale == "local":  # cannot be converted to UTC
+            raise ValueError
         return value
     if isinstance(value, date) and not isinstance(value, datetime):
         value = value.isoformat()
@@ -175,6 +189,7 @@ def move_vectors(vectors: np.ndarray, motion: np.ndarray, years: float) -> np.nd
     return new / np.linalg.norm(new, axis=1)[:, None]
 
 
+@any_year()
 def choose_epoch(
     catalog: "Catalog", epoch: object, times: Time | None, *, whole: bool = True, of: str = OF_CONDITIONS
 ) -> tuple[object, str | None]:

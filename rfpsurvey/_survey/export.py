@@ -56,7 +56,7 @@ MOST_NAMES = 10
 """Largest number of tiles that a message lists."""
 FIELDS = 1.5
 """Distance, as a multiple of the radius of a field, from which on arms cannot touch a keep-out circle."""
-CHECKED = ("n_colliding", "n_colliding_pairs", "n_obstacle_collisions")
+CHECKED = ("n_assigned", "n_colliding", "n_colliding_pairs", "n_obstacle_collisions")
 """Numbers of a tile that must be those of the survey."""
 OF_VISITS = {"tile", "target_id", "target_row", "positioner", "ra", "dec", "in_collision", "observed", "fiber_type"}
 """Columns of visits that are not copied to the table of a tile."""
@@ -158,9 +158,10 @@ class PlannedTiles:
         numbers = {key: (scored.summary[key], int(self.survey.tiles[key][row])) for key in CHECKED}
         differ = to_plain(table["in_collision"])[owner] != to_plain(visits["in_collision"])
         if differ.any() or scored.summary["n_out_of_reach"] or any(a != b for a, b in numbers.values()):
-            n = max(int(differ.sum()), scored.summary["n_out_of_reach"], 1)
+            n_lost = abs(np.subtract(*numbers["n_assigned"]))
+            n = max(int(differ.sum()), scored.summary["n_out_of_reach"], n_lost, 1)
             raise InputError(
-                f"the poses of tile {name} must be those of its plan, got other collisions of "
+                f"the poses of tile {name} must be those of its plan, got other targets or collisions of "
                 f"{number_of(n, 'positioner')}; the plan was made with another state of the instrument, or with arms "
                 "that are bent to the other side (handedness both), which the folder does not contain"
             )
@@ -262,7 +263,7 @@ def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
             low, high = map(int, wanted)
             rows += np.flatnonzero((numbers >= low) & (numbers <= high)).tolist()
     if unknown or not rows:
-        known, got = (listed(values, MOST_NAMES) for values in (names.tolist(), unknown))
+        known, got = (listed(values, MOST_NAMES) for values in (names.tolist(), [name or "''" for name in unknown]))
         raise InputError(f"tiles must be tiles of the survey, which has {known}, got {got}")
     return list(dict.fromkeys(rows))
 

@@ -33,7 +33,7 @@ from rfpsurvey._survey.request import ORDERS, Request, make_request
 from rfpsurvey._survey.run import run
 from rfpsurvey._survey.source import InMemory, Partitioned, first_visits, in_memory
 from rfpsurvey._survey.survey import Survey
-from rfpsurvey._survey.tiling.columns import times_of_tiles, warn_of_programs, warn_of_targets
+from rfpsurvey._survey.tiling.columns import times_of_tiles, warn_of_numbers, warn_of_programs, warn_of_targets
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
 from rfpsurvey.errors import (
     InputError,
@@ -243,6 +243,7 @@ def prepare_request(
     times, of = times_of_tiles(tiling, dates=False) if len(tiling) else None, OF_CONDITIONS
     if times is None and len(tiling) and first.has_proper_motion:
         times, of = times_of_tiles(tiling), "the times of the tiles"
+        warn_of_numbers(tiling)
     used, moved = choose_epoch(first, epoch, times, whole=not is_partitioned, of=of)
     if is_partitioned:
         source = Partitioned(catalog, used)

@@ -22,7 +22,7 @@ from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.states import instruments_at, is_dated
 from rfpsurvey._kernels import sky as zones
 from rfpsurvey._sky.arrays import SkyIndex, half_chord_squared
-from rfpsurvey._sky.time import epoch_text
+from rfpsurvey._sky.time import any_year, epoch_text
 from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import brightness_of, days_of
 from rfpsurvey._survey.folder import number_in
@@ -134,6 +134,7 @@ class Request(FieldsOfTiles):
         return brightness_of(self.cadences[0], self.tiling)
 
     @cached_property
+    @any_year()
     def moments(self) -> Time | None:
         """Time of each tile (UTC); None if neither positions nor states of positioners depend on it."""
         if self.years is None and not is_dated(self.instrument):
@@ -147,6 +148,7 @@ class Request(FieldsOfTiles):
         return times.utc
 
     @cached_property
+    @any_year()
     def times(self) -> list[str]:
         """Time of each tile (UTC) as text; an empty list if the plan does not depend on it."""
         return [] if self.moments is None else self.moments.isot.tolist()

@@ -70,6 +70,7 @@ def test_files_are_replaced_only_on_request(call, refused, folder, tmp_path):
 WRONG_TILES = [
     ("12,15,x", "--tiles must be tiles of the survey, which has 11, 12, 13, 14, got 15, x"),
     ("12-20", "--tiles must be tiles of the survey, which has 11, 12, 13, 14, got 20"),
+    ("11,,12", "--tiles must be tiles of the survey, which has 11, 12, 13, 14, got ''"),
     ("14-12", "--tiles must be ranges of numbers from the smallest to the largest, got '14-12'"),
 ]
 
@@ -82,6 +83,8 @@ def test_unknown_tiles_are_refused(refused, folder, tmp_path, tiles, message):
 
 def test_wrong_paths_and_formats_are_refused(refused, folder, tmp_path):
     assert "folder must be given: the folder of a survey" in refused("export")
+    said = refused("export {} --format pfsdesign --output {}", folder, tmp_path / "out")
+    assert said == "rfpsurvey: pfsDesign: the instrument of a design of PFS must be pfs, got sdss_apo"
     assert "does not hold a survey" in refused("export {}", tmp_path)
     assert "unknown format of plans 'par'" in refused("export {} --format par --output {}", folder, tmp_path)
     assert "give the file of a tile, or use rfpsurvey export" in refused("score {}", folder)
@@ -91,6 +94,11 @@ def test_wrong_paths_and_formats_are_refused(refused, folder, tmp_path):
     assert said.endswith("must be the file of one of the 4 tiles of the survey, got row 7")
     (tmp_path / "broken.csv").write_text("id\nR-1C13\n")
     assert "instrument must be that of the survey, sdss_apo with the digest" in refused("export {}", folder)
+
+
+def test_the_help_states_the_folder_of_the_files(run):
+    """Regression: the default value was printed as two periods."""
+    assert "if it does not exist. By default, the current folder." in " ".join(run("export", "--help")[1].split())
 
 
 def test_strict_commands_fail_if_requirements_are_not_met(run, call, files, tmp_path):
@@ -142,6 +150,21 @@ def test_plans_of_another_state_of_the_instrument_are_left_out(call, refused, re
     said = refused("export {} --tiles 11,13 --output {}", folder, tmp_path / "other")
     assert "the plan was made with another state of the instrument" in said
     assert not (tmp_path / "other").exists()
+
+
+def test_no_target_of_an_observed_tile_is_lost_silently(call, refused, record, tmp_path):
+    """Regression: targets of positioners that broke later were not written, if no arm had collided."""
+    (tmp_path / "broken.csv").write_text("id\n0\n")
+    living.targets(n=30).write(tmp_path / "stars.fits")
+    living.tiling(n=2).write(tmp_path / "tiles.ecsv")
+    paths, folder = (tmp_path / "stars.fits", tmp_path / "tiles.ecsv", "moons"), tmp_path / "plan"
+    call(f"{PLAN} --set instrument.broken={{}} --folder {{}}", *paths, tmp_path / "broken.csv", folder)
+    record(folder, tile=[11], state=["done"], date=["2026-01-03"])
+    used = rs.Survey.read(folder).tile(11)["positioner"][:2]
+    Table({"id": [0, *used]}).write(tmp_path / "broken.csv", overwrite=True)
+    call("survey {} --replan", folder)
+    said = refused("export {} --tiles 11 --output {}", folder, tmp_path / "out")
+    assert "must be those of its plan, got other targets or collisions of 2 positioners" in said
 
 
 def test_names_of_tiles_are_not_ranges(call, tmp_path):

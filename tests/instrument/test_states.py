@@ -175,6 +175,7 @@ WRONG_TABLES = [
     ({"id": [1], "theta": ["east"], "phi": ["x"]}, "column 'theta' must hold angles in degrees"),
     ({"id": [1], "theta": [5] * u.mm, "phi": [5] * u.deg}, "'theta' must have a unit convertible to deg, got mm"),
     ({"id": [1], "from": ["yesterday"]}, "'from' must hold Julian dates, or .* '2021-05-14T00:00:00', got 'yes"),
+    ({"id": [1], "from": Time([6e4], format="mjd", scale="local")}, "'from' must hold .* got <Time object: scale"),
     ({"id": [1], "to": [2026]}, "column 'to' must hold Julian dates, or .*, got 2026"),
     ({"id": [1], "to": ["2026"]}, "column 'to' must hold Julian dates, or .*, got 2026"),
     ({"id": [1], "from": ["2026-05-01"], "to": ["2026-05-01"]}, "to must be later than from, got 2026-05-01T"),

@@ -12,7 +12,7 @@ from astropy.coordinates import SkyCoord
 from astropy.io import fits
 from astropy.table import MaskedColumn, Table
 from astropy.time import Time, TimeDelta
-from raising import refused
+from raising import refused, warned
 
 import rfpsurvey as rs
 
@@ -124,6 +124,37 @@ def test_no_target_in_reach_is_lost_at_the_edge_of_a_field():
     assert crossing > 20
 
 
+@pytest.mark.parametrize("year", [1970, 2066])
+def test_years_without_known_leap_seconds(year):
+    """Regression: each conversion of the times issued a warning of ERFA."""
+    catalog, coord = moving_targets(4)
+    table, texts = living.tiling(4, 3).table.copy(), [f"{year}-01-0{day}T05:00:00.000" for day in (2, 3, 4)]
+    table["time"] = texts
+    survey = rs.plan_survey(catalog, living.instrument(), rs.Tiling.from_table(table))
+    assert survey.tiles["time"].tolist() == texts
+    visits, there = survey.tile(11), moved(coord, Time(texts[0], scale="tdb"))  # a minute later in UTC
+    apart = SkyCoord(visits["ra"], visits["dec"], unit="deg").separation(there[visits["target_id"] - 1000])
+    assert len(visits) > 3
+    assert apart.max() < 0.1 * u.mas
+
+
+def test_a_column_mjd_can_contain_time_objects():
+    table, times = living.tiling(4, 3).table.copy(), random_times(4, 3)
+    table["mjd"] = times.tdb
+    assert abs(rs.Tiling.from_table(table).times - times).max() < 1 * u.ms
+
+
+def test_a_column_time_with_numbers_that_can_be_dates_causes_a_warning():
+    """Regression: the targets remained at the epoch of the catalog, and no warning stated this."""
+    table, message = living.tiling(4, 3).table.copy(), "the column TIME of the tiles is not used, because .* {}Julian"
+    for days, name in {60000.5: "modified ", 2460001.0: ""}.items():
+        table["TIME"] = np.full(3, days)
+        arguments = moving_targets(4)[0], living.instrument(), rs.Tiling.from_table(table)
+        warned(message.format(name), rs.plan_survey, *arguments)
+    table["TIME"] = np.full(3, 900.0)  # exposure times
+    rs.plan_survey(moving_targets(4)[0], living.instrument(), rs.Tiling.from_table(table))
+
+
 def test_a_requested_epoch_applies_to_all_tiles(tmp_path):
     catalog, coord = moving_targets(5)
     tiling = dated(5, random_times(5, 3))
@@ -160,6 +191,15 @@ WRONG = [
     ("mjd", [60000.0, 0.0], "the mjd of each tile must be a modified Julian date .* got 0 for tile 12; rename"),
     ("mjd", ["a", "b"], "the mjd of tiles must be numbers of days, got"),
     ("mjd", [1, 2] * u.mm, "the mjd of tiles must be numbers of days, got"),
+    ("mjd", np.full((2, 2), 60000.0), r"the mjd of tiles must be one value for each tile, got the shape \(2, 2\)"),
+    ("date", [["2026-01-01"] * 2] * 2, r"the date of tiles must be one value for each tile, got the shape \(2, 2\)"),
+    (
+        "time",
+        Time([6e4, 6e4], format="mjd", scale="local"),
+        "time of tile 11 must be a date .* got <Time object: scale",
+    ),
+    ("date", ["2026-01-01", "0206-01-01"], "the date of each tile must be a date from 1968 to 2132, got 206-01-01"),
+    ("date", [61041, 61042], "time of tile 11 must be a date and time .* got '61041'"),
 ]
 
 

@@ -65,10 +65,11 @@ def assert_same_score(survey, table, folder):
     return score
 
 
-def plan(model, tmp_path, n=3000, *, kinds=False, tiling=None, **options):
+def plan(model, tmp_path, n=3000, *, kinds=False, tiling=None, catalog=None, **options):
     tiling = tiles(model) if tiling is None else tiling
     given = rs.AllocationOptions(**{"allocator": "lamost_rule", **options})
-    survey = rs.plan_survey(targets(model, n, kinds), model, tiling, allocator=given, folder=tmp_path / "plan")
+    catalog = targets(model, n, kinds) if catalog is None else catalog
+    survey = rs.plan_survey(catalog, model, tiling, allocator=given, folder=tmp_path / "plan")
     assert survey.summary["n_colliding"] > 20 or n < 1000
     return survey
 
@@ -246,6 +247,24 @@ def test_kinds_priorities_and_rules_are_in_the_table_of_a_tile(tmp_path):
     assert record["constraints"] == {"0": "sky=3", "1": "standard=1"}
     assert [record["unmet"]] == tile.summary["unmet"] == [survey.tiles["unmet"][2]]
     assert tile.provenance["parameters"]["epoch"] == survey.provenance["parameters"]["epoch"]
+
+
+@pytest.mark.parametrize("names", [{"sky": "faint", "science": "faint"}, {"science": "skymapper", "sky": "sky"}])
+def test_configurations_keep_the_kinds_of_targets_with_other_categories(presets, tmp_path, names):
+    """Regression: requirements were not met in files, because only the categories of sky positions were written."""
+    pytest.importorskip("pydl", reason="pydl is not installed")
+    apo = presets["sdss_apo"]
+    sky = targets(apo, 2000, kinds=True)
+    sky = replace(sky, category=np.array([names.get(kind, "standard_dwarf") for kind in sky.kind.tolist()]))
+    survey = plan(apo, tmp_path, tiling=tiles(apo), requirements=["sky=30", "standard=20"], catalog=sky)
+    message = "each file was written without .*, the categories that do not state the kind of their targets"
+    warned(message, survey.export, format="confsummary", output=tmp_path)
+    for tile in (11, 12, 14):
+        written, visits = rs.plans.read_plan(tmp_path / f"confSummary-{tile}.par"), survey.tile(tile)
+        kinds = {row["target_id"]: row["kind"] for row in written if row["assigned"]}
+        assert kinds == dict(zip(visits["target_id"].tolist(), visits["kind"].tolist(), strict=True))
+        assert {*kinds.values()} == {"science", "sky", "standard"}
+        assert "standard_dwarf" in written["category"]
 
 
 def test_stuck_fibers_on_sky_are_counted(tmp_path):

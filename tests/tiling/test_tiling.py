@@ -154,7 +154,9 @@ BAD = {
     "but 1 occurs 2 times": table(tile=[1, 2, 1]),
     "ra must lie between": QTable({"ra": [1, 361.0] * DEG, "dec": [0, 0] * DEG}),
     "dec must lie between": QTable({"ra": [1.0] * DEG, "dec": [np.nan] * DEG}),
-    "tiles a and b are the same: pass 1": QTable({"tile": ["a", "b"], "ra": [0, 360.0] * DEG, "dec": [5, 5] * DEG}),
+    "tiles a and b are the same: pass 1, .* deg; to observe a field several times, number its tiles in": QTable(
+        {"tile": ["a", "b"], "ra": [0, 360.0] * DEG, "dec": [5, 5] * DEG}
+    ),
     f"{WHOLE} 1.5": table(PASS=[1, 1.5, 2]),
     f"{WHOLE} 1e": table(PASS=[1, 1e30, 2]),
 }

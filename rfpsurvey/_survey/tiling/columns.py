@@ -4,13 +4,11 @@ There are warnings for tables of targets that are given instead of tables of til
 """
 
 import re
-import warnings
 from dataclasses import replace
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import astropy.units as u
-import erfa
 import numpy as np
 from astropy.table import QTable, Table
 from astropy.time import Time
@@ -21,7 +19,7 @@ from rfpsurvey._instruments.pfs_files import PFI_ANGLE
 from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.conditions import ObservingConditions, as_hour_angle
 from rfpsurvey._sky.survey_formats import check_mode
-from rfpsurvey._sky.time import to_moment
+from rfpsurvey._sky.time import any_year, to_moment
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, refusal, short, warn
 
 if TYPE_CHECKING:
@@ -230,25 +228,38 @@ def dates_column(tiling: "Tiling") -> str | None:
     return next((name for name in there if name not in {*numeric}), None)
 
 
+def warn_of_numbers(tiling: "Tiling") -> None:
+    """Warn if a column ``time``, which is not used because it contains numbers, seems to contain dates."""
+    name = next((name for name in tiling.table.colnames if name.lower() == "time"), None)
+    if name is None or dates_column(tiling) is not None or (column := tiling.table[name]).dtype.kind not in "iuf":
+        return
+    days = to_plain(column).astype(float)
+    for scale, offset in {"modified Julian": 0, "Julian": 2400000.5}.items():
+        if np.all((days - offset > FIRST_MJD) & (days - offset < LAST_MJD)):
+            warn(
+                f"the column {name} of the tiles is not used, because it contains numbers, although they can be "
+                f"{scale} dates; give modified Julian dates in a column mjd, or dates as text"
+            )
+
+
+@any_year()
 def _dates_of(tiling: "Tiling") -> Time | None:
     """Return the times in the column that `dates_column` names; None if there is no such column."""
     if (name := dates_column(tiling)) is None:
         return None
     column, tile = tiling.table[name], tiling.table["tile"]
-    if name.lower() == "mjd":
+    _check_shape(column, name)
+    if name.lower() == "mjd" and not isinstance(column, Time):
         try:
             days = to_plain(u.Quantity(column, u.day).value if hasattr(column, "to_value") else column).astype(float)
         except (TypeError, ValueError):
             raise InputError(f"the {name} of tiles must be numbers of days, got {short(column)}") from None
-        if len(bad := np.flatnonzero(~((days > FIRST_MJD) & (days < LAST_MJD)))):
-            raise InputError(
-                f"the {name} of each tile must be a modified Julian date above {FIRST_MJD} and below {LAST_MJD}, got "
-                f"{days[bad[0]]:g} for tile {tile[bad[0]]}; rename the column if it has another meaning"
-            )
+        rule = f"a modified Julian date above {FIRST_MJD} and below {LAST_MJD}"
+        _check_days(days, tile, name, rule, [f"{day:g}" for day in days])
         return Time(days, format="mjd", scale="utc")
     if np.asarray(column).dtype.kind in "iu":  # such as 20260103
-        column = np.array([f"{text[:4]}-{text[4:6]}-{text[6:]}" for text in np.asarray(column).astype(str).tolist()])
-    return Time(_times(column, tile), scale="utc")
+        column = np.array([re.sub(r"^(\d{4})(\d\d)(\d\d)$", r"\1-\2-\3", str(day)) for day in column.tolist()])
+    return Time(_times(column, tile, name), scale="utc")
 
 
 class FieldsOfTiles:
@@ -283,6 +294,7 @@ class FieldsOfTiles:
         return field_radius_rad(self.instrument, lowest) * MARGIN
 
     @cached_property
+    @any_year()
     def years(self) -> np.ndarray | None:
         """Time of each tile since the reference epoch, in years; None if the targets are not moved to these times."""
         return None if self.reference is None else (times_of_tiles(self.tiling).tdb - self.reference.tdb).to_value(u.yr)
@@ -295,28 +307,45 @@ class FieldsOfTiles:
 
 def _read_times(table: QTable) -> Time:
     """Return the times in the column ``time`` of a table of tiles."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)
+    with any_year():
         return Time(np.asarray(table["time"]), scale="utc")
 
 
-def _times(column, tile) -> np.ndarray:
+@any_year()
+def _times(column, tile, name: str = "time") -> np.ndarray:
     """Return the times in a column, which contains `Time` objects or text, as text in UTC."""
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", erfa.ErfaWarning)  # times far in the future cause an error later
-        if isinstance(column, Time) and np.ndim(column) == 1 and not np.any(column.mask):
-            times = column.utc
-        else:
-            dated = isinstance(column, Time) or np.asarray(column).dtype.kind in "MO"
-            values = column if dated else to_plain(column, "time").tolist()
-            try:
-                times = Time(np.asarray(values).astype(str), scale="utc") if len(values) else Time([], format="jd")
-                if times.format.endswith("year_str"):
-                    raise ValueError
-            except ValueError:
-                moments = [to_moment(value, f"time of tile {name}") for value, name in zip(values, tile, strict=True)]
-                times = Time(moments)
-        return np.array(Time(times, format="isot", precision=3).value, dtype=str)
+    _check_shape(column, name)
+    if isinstance(column, Time):
+        is_valid = column.scale != "local" and not np.any(column.mask)
+        times = column.utc if is_valid else _moments(column, tile)
+    else:
+        values = column if np.asarray(column).dtype.kind in "MO" else to_plain(column, "time").tolist()
+        try:
+            times = Time(np.asarray(values).astype(str), scale="utc") if len(values) else Time([], format="jd")
+            if times.format.endswith("year_str"):
+                raise ValueError
+        except ValueError:
+            times = _moments(values, tile)
+    _check_days(times.mjd, tile, name, "a date from 1968 to 2132", times.iso)
+    return np.array(Time(times, format="isot", precision=3).value, dtype=str)
+
+
+def _moments(values, tile) -> Time:
+    """Return times that are read one by one, or raise an error that names the first tile with an invalid time."""
+    return Time([to_moment(value, f"time of tile {name}") for value, name in zip(values, tile, strict=True)])
+
+
+def _check_days(days: np.ndarray, tile, name: str, rule: str, texts) -> None:
+    if len(bad := np.flatnonzero(~((days > FIRST_MJD) & (days < LAST_MJD)))):
+        raise InputError(
+            f"the {name} of each tile must be {rule}, got {texts[bad[0]]} for tile {tile[bad[0]]}; rename the column "
+            "if it has another meaning"
+        )
+
+
+def _check_shape(column, name: str) -> None:
+    if np.ndim(column) != 1:
+        raise InputError(f"the {name} of tiles must be one value for each tile, got the shape {np.shape(column)}")
 
 
 def _hour_angles(column, tile) -> u.Quantity:

@@ -368,7 +368,9 @@ def _refuse_twins(tile, angles, number, table):
         k = twin[0]
         raise InputError(
             f"tiles {tile[first[k]]} and {tile[k]} are the same: pass {number[k]}, center {angles['ra'][k]:.6f} "
-            f"{angles['dec'][k]:+.6f} deg" + (f"; further repeated tiles: {len(twin) - 1}" if len(twin) > 1 else "")
+            f"{angles['dec'][k]:+.6f} deg"
+            + (f"; further repeated tiles: {len(twin) - 1}" if len(twin) > 1 else "")
+            + "; to observe a field several times, number its tiles in a column pass"
         )
 
 
