@@ -25,7 +25,7 @@ NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
 ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED)
 UNITS = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
-DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1)}
+DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1), "priority": 0.0}
 # Missing value of a column, by the kind of its data type; -1 for integers.
 MISSING = {"f": np.nan, "U": "", "b": False}
 # Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
@@ -87,7 +87,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     changes[DROPPED] = _dropped(given, len(ids))
     changes["date"] = [*map(to_date, table[dates[0]])] if dates else [""] * len(ids)
     check_fits_text({f"values of {column!r}": changes[column] for column in changes.colnames}, "omit these targets")
-    _check_numbers(changes, new, "priority" in kinds, ids)
+    _check_numbers(changes, new, "priority" in kinds or _has_priority([*events.target_tables, (n, changes)]), ids)
     complete = [column for column in further if _given(changes[column])[new].all()]
     lacking = [column for column in kinds if column not in (*ROLES, *complete)]
     unknown = [name for name in survey.provenance.get("rule_columns", ()) if name in lacking and name not in further]
@@ -147,6 +147,11 @@ def _given(values: np.ndarray) -> np.ndarray:
     """Return which values of a column are not missing."""
     values = np.asarray(values)
     return np.isfinite(values) if values.dtype.kind == "f" else values != ("" if values.dtype.kind == "U" else -1)
+
+
+def _has_priority(tables: list[tuple[int, QTable]]) -> bool:
+    """Return whether a priority was recorded; targets of a survey without priorities then have the priority 0."""
+    return any(_given(table["priority"]).any() for _, table in tables if "priority" in table.colnames)
 
 
 def _kinds_of(survey) -> dict[str, str]:
@@ -266,8 +271,6 @@ def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np
     for name in {*NUMBERS} & {*changes.colnames}:
         if np.isinf(np.asarray(changes[name])).any():
             raise InputError(f"{name} must be finite numbers, got inf")
-    if not has_priority and "priority" in changes.colnames:
-        raise InputError("priority must be recorded only for a survey of targets with priorities, got one without")
     if not len(new):
         return
     if not {"ra", "dec"} <= {*changes.colnames}:
