@@ -23,7 +23,9 @@ IS_ADDED = 2
 IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
-ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED)
+LIMITS = ("only_tile", "only_until")
+"""Columns of the only tile, and of the last date, on which an added target is wanted."""
+ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED, *LIMITS)
 UNITS = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
 DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1), "priority": 0.0}
 # Missing value of a column, by the kind of its data type; -1 for integers.
@@ -44,7 +46,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
         )
-    kinds = _kinds_of(survey)
+    kinds = kinds_of(survey)
     further = {column: kind for column, kind in kinds.items() if column not in ROLES and column.lower() in lower}
     if not further and not {*ROLES} & {*lower}:
         raise InputError(
@@ -74,7 +76,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     for role, column in given.items():
         if role in NUMBERS:
             changes[role] = to_numbers(column, role)
-        elif role in TEXTS:
+        elif role in (*TEXTS, *LIMITS):
             changes[role] = np.char.strip(np.ma.filled(np.ma.asarray(column).astype(str), "").astype(str))
     if "kind" in given:
         kind = np.asarray(changes["kind"])
@@ -154,7 +156,7 @@ def _has_priority(tables: list[tuple[int, QTable]]) -> bool:
     return any(_given(table["priority"]).any() for _, table in tables if "priority" in table.colnames)
 
 
-def _kinds_of(survey) -> dict[str, str]:
+def kinds_of(survey) -> dict[str, str]:
     """Return the kinds of the data types of the optional columns of the catalog of a survey, by name."""
     if "target_columns" in survey.provenance:
         return survey.provenance["target_columns"]
