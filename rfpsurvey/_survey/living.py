@@ -43,10 +43,9 @@ class Living:
             targets: it has the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``,
             ``dropped`` or ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. If the
             state in each row is ``added``, ``tile`` names the only tile that may observe the target, and only tiles
-            with times before the end of the date ``until`` may observe it. The
-            usual names of columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``).
-            The path of a confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits
-            failed.
+            with times before the end of the date ``until`` may observe it. The usual names of columns in tables of DESI
+            are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a confSummaryF file of
+            SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional
@@ -72,8 +71,9 @@ class Living:
         Raises
         ------
         InputError
-            If a tile, positioner or target is unknown, if no tile that remains may observe an added target, if the plan with which a tile was observed is not clear, if a
-            value is not valid, or if another run uses the folder. Nothing is written then.
+            If a tile, positioner or target is unknown, if no tile that remains may observe an added target, if the plan
+            with which a tile was observed is not clear, if a value is not valid, or if another run uses the folder.
+            Nothing is written then.
 
         Warns
         -----
