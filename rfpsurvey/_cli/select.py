@@ -17,9 +17,9 @@ from rfpsurvey._cli.survey import values_of
 from rfpsurvey._common.files import check_output, check_separate
 from rfpsurvey._common.settings import option
 from rfpsurvey._survey import key_groups, key_objects
-from rfpsurvey._survey.key_objects import Given
+from rfpsurvey._survey.key_objects import Given, read_tiles
 from rfpsurvey._survey.key_types import Part, build
-from rfpsurvey._survey.plan_file import SurveyKeys, allocator_of, read_tiles, state_in, targets_of, tiles_of
+from rfpsurvey._survey.plan_file import SurveyKeys, allocator_of, state_in, targets_of, tiles_of
 from rfpsurvey._survey.selection.probabilities import selection_facts
 from rfpsurvey._survey.selection.select import check_without_cadences
 from rfpsurvey.errors import number_of

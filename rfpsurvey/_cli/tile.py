@@ -18,9 +18,8 @@ from rfpsurvey._common.read_tables import import_parquet
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_groups, key_objects
-from rfpsurvey._survey.key_objects import Given
+from rfpsurvey._survey.key_objects import Given, read_tiles
 from rfpsurvey._survey.key_types import Located
-from rfpsurvey._survey.plan_file import read_tiles
 from rfpsurvey._survey.tiling.place import METHODS
 
 

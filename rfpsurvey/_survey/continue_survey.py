@@ -18,6 +18,7 @@ from rfpsurvey._survey.plan import plan_survey, prepare_request
 from rfpsurvey._survey.plan_file import call_of, keys_in
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.survey import Survey
+from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, RfpsurveyWarning, listed
 
 
@@ -86,6 +87,11 @@ def request_in(folder: Path, **given: object) -> Request:
 def cadences_in(folder: Path) -> Cadences:
     """Return the cadences of the targets of a survey."""
     return Cadences(keys_in(folder, {"allocator", "instrument", "tiles", "visits", "rule"}).cadences)
+
+
+def tiling_in(folder: Path) -> Tiling | None:
+    """Return the tiles of the survey in a folder; None if they have no table."""
+    return key_objects.tiling_of(keys_in(folder, {"allocator", "instrument", "visits", "rule"}))
 
 
 def instruments_in(folder: Path, times: Time) -> list[Instrument]:

@@ -36,7 +36,7 @@ from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.alternates import SurveyAlternates
 from rfpsurvey._survey.folder import part_name, read_visits
-from rfpsurvey._survey.plan_file import keys_in, read_tiles
+from rfpsurvey._survey.plan_file import keys_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_rows
 from rfpsurvey._survey.work import TIME
@@ -187,7 +187,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
         keys = keys_in(survey.folder, ("allocator", "visits", "rule"))
 
         def time_of_tiles():
-            return key_objects.time_of_tiles(read_tiles(keys.tiles), keys.epoch, keys.conditions)
+            return key_objects.time_of_tiles(key_objects.read_tiles(keys.tiles), keys.epoch, keys.conditions)
 
         model = key_objects.model_of(keys.instrument, time_of_tiles)
     else:

@@ -29,7 +29,7 @@ from rfpsurvey._sky.partitions import PartitionedCatalog
 from rfpsurvey._sky.time import to_time
 from rfpsurvey._survey.key_types import Key, Part, add, find, located
 from rfpsurvey._survey.tiling.columns import times_of_tiles, when_of
-from rfpsurvey._survey.tiling.tiling import Tiling
+from rfpsurvey._survey.tiling.tiling import Tiling, in_passes
 from rfpsurvey.errors import InputError, warn, warn_no_effect
 
 
@@ -76,6 +76,28 @@ def conditions_of(given: dict) -> ObservingConditions | None:
             f"conditions.site must be given to compute refraction: [LONGITUDE, LATITUDE, HEIGHT] or {', '.join(SITES)}"
         )
     return ObservingConditions(**given) if given else None
+
+
+def read_tiles(keys, *, tell: Callable[[str], None] = no_output) -> Tiling | None:
+    """Return a table of tiles or centers, or None without a file; ``tell`` is called with the columns it uses."""
+    columns, units = keys.columns or {}, keys.units or {}
+    if keys.path is None:
+        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu, "select": keys.select}.items():
+            if value:
+                warn_no_effect(f"tiles.{name}", "without a table of tiles")
+        return None
+    tiling = Tiling.read(keys.path, columns, units, keys.hdu, keys.select)
+    meta = tiling.table.meta
+    if any(role != name for role, name in meta["columns"].items()):
+        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
+        more = [f"; {name}: {meta[name]}" for name in ("omitted", "selected") if name in meta]
+        tell(f"columns of tiles: {said}" + "".join(more))
+    return tiling
+
+
+def tiling_of(keys) -> Tiling | None:
+    """Return the tiles of the planned passes; None if they have no table."""
+    return in_passes(read_tiles(keys.tiles), keys.tiles.passes)
 
 
 def tiles_under(tiling: Tiling, given: dict) -> Tiling:

@@ -41,10 +41,11 @@ class Living:
             visits without a row were successful, unless they were lost to a collision. Added tiles have the columns
             ``ra``, ``dec``, and optionally ``position_angle`` and ``pass``. A table without the column ``tile`` changes
             targets: it has the column ``target``, and optionally ``priority``, ``visits``, ``state`` (``added``,
-            ``dropped`` or ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. The
-            usual names of columns in tables of DESI are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``).
-            The path of a confSummaryF file of SDSS-V gives the fibers of one tile that were not on target, whose visits
-            failed.
+            ``dropped`` or ``planned``) and, for added targets, ``ra``, ``dec`` and the columns of the catalog. If the
+            state in each row is ``added``, ``tile`` names the only tile that may observe the target, and only tiles
+            with times before the end of the date ``until`` may observe it. The usual names of columns in tables of DESI
+            are also read (``TILEID``, ``ZDATE``, ``OBSSTATUS``, ``TARGETID``). The path of a confSummaryF file of
+            SDSS-V gives the fibers of one tile that were not on target, whose visits failed.
         enough : float, optional
             Fraction of the exposure from which a tile without a state is done; below, it is partly done.
         tile : int or str, optional
@@ -70,8 +71,9 @@ class Living:
         Raises
         ------
         InputError
-            If a tile, positioner or target is unknown, if the plan with which a tile was observed is not clear, if a
-            value is not valid, or if another run uses the folder. Nothing is written then.
+            If a tile, positioner or target is unknown, if no tile that remains may observe an added target, if the plan
+            with which a tile was observed is not clear, if a value is not valid, or if another run uses the folder.
+            Nothing is written then.
 
         Warns
         -----
@@ -79,11 +81,12 @@ class Living:
             If a tile with a time was observed on another date, and a planned target moved by more than 0.1 arcsec, or
             the state of a positioner changed, between this time and the night of the observation.
         """
-        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in
+        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, tiling_in
         from rfpsurvey._survey.history.record import record
 
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
         options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
+        options["tiling"] = partial(tiling_in, self.folder)
         options["instruments_for"] = partial(instruments_in, self.folder)
         return record(self, table, enough=enough, tile=tile, columns=columns, **options)
 
@@ -170,6 +173,7 @@ class Living:
             folder has no plan file.
         """
         from rfpsurvey._survey import plan_file as _plan_file
+        from rfpsurvey._survey.continue_survey import tiling_in
 
         given = {"rule": rule, "visits": visits, "until": until}
         if catalog is None:
@@ -177,6 +181,7 @@ class Living:
             return _plan_file.state_in(self.folder, **given)
         if isinstance(visits, _plan_file.Cadences):
             return _plan_file.state_in(self.folder, catalog=catalog, **given)
+        given["tiles"] = partial(tiling_in, self.folder)  # only some states require the tiles
         return _plan_file.SurveyState.read(self.folder, catalog, **given)
 
     def replan(self, *, executor: object = None, progress: object = False, **changes: object) -> object:

@@ -149,23 +149,6 @@ def _requested(keys) -> int | np.ndarray | Cadences | None:
     return keys.catalog.visits if path is None else np.asarray(read_table(path)["visits"])
 
 
-def read_tiles(keys, *, tell: Callable[[str], None] = no_output) -> Tiling | None:
-    """Return a table of tiles or centers, or None without a file; ``tell`` is called with the columns it uses."""
-    columns, units = keys.columns or {}, keys.units or {}
-    if keys.path is None:
-        for name, value in {"columns": columns, "units": units, "hdu": keys.hdu, "select": keys.select}.items():
-            if value:
-                warn_no_effect(f"tiles.{name}", "without a table of tiles")
-        return None
-    tiling = Tiling.read(keys.path, columns, units, keys.hdu, keys.select)
-    meta = tiling.table.meta
-    if any(role != name for role, name in meta["columns"].items()):
-        said = ", ".join(f"{role}: {name}" for role, name in meta["columns"].items())
-        more = [f"; {name}: {meta[name]}" for name in ("omitted", "selected") if name in meta]
-        tell(f"columns of tiles: {said}" + "".join(more))
-    return tiling
-
-
 def tiles_of(tiling: Tiling | None, targets, model: Instrument) -> Tiling:
     """Return the given tiles; if no tiles are given, return tiles that cover the catalog twice."""
     if tiling is not None:
@@ -214,7 +197,8 @@ def state_in(folder: Path, *, tell: Callable[[str], None] = no_output, **given: 
         catalog = targets_of(keys, _model_in(keys), tell=tell)
     rule = given.pop("rule") if "rule" in given else VisitRule(**keys.rule)
     visits = given.pop("visits") if "visits" in given else _requested(keys)
-    tiles = in_passes(read_tiles(keys.tiles), keys.tiles.passes) if isinstance(visits, Cadences) else None
+    tiling = partial(key_objects.tiling_of, keys)  # only some states require the tiles
+    tiles = tiling() if isinstance(visits, Cadences) else tiling
     return SurveyState.read(folder, catalog, rule=rule, visits=visits, tiles=tiles, **given)
 
 
@@ -227,7 +211,7 @@ def _model_in(keys: SurveyKeys) -> Instrument | None:
 
 def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **given: object) -> dict:
     """Return the parameters of `plan_survey` for keys; ``given`` contains parameters in place of those of the keys."""
-    tiling = as_tiling(given["tiles"]) if "tiles" in given else read_tiles(keys.tiles, tell=tell)
+    tiling = as_tiling(given["tiles"]) if "tiles" in given else key_objects.read_tiles(keys.tiles, tell=tell)
     if "instrument" in given:
         model = as_instrument(given["instrument"], may_be_dated=True)
     else:
@@ -247,7 +231,7 @@ def call_of(keys: SurveyKeys, *, tell: Callable[[str], None] = no_output, **give
 def check_inputs(folder: Path, request: dict) -> None:
     """Raise an error if the catalog, the tiles or the instrument of the plan file differ from a recorded request."""
     keys = keys_in(folder, ("allocator", "instrument", "visits", "rule"))
-    tiling, model = read_tiles(keys.tiles), None
+    tiling, model = key_objects.read_tiles(keys.tiles), None
     if "instrument" not in (keys.python or ()):
         model = key_objects.model_of(
             keys.instrument, partial(key_objects.time_of_tiles, tiling, keys.epoch, keys.conditions)

@@ -4,6 +4,7 @@ The tiles that can be planned at the same time form a *round*.
 """
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -27,6 +28,7 @@ from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import brightness_of, days_of
 from rfpsurvey._survey.folder import number_in
 from rfpsurvey._survey.history.dated import dates_record, times_of
+from rfpsurvey._survey.history.limits import slots_closed_to
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.source import column_digests, digest, digest_of, extra_digest
 from rfpsurvey._survey.tiling.columns import FieldsOfTiles, conditions_of_tiles, times_of_tiles
@@ -179,6 +181,9 @@ class Request(FieldsOfTiles):
 
     def job(self, tile: int, left: np.ndarray) -> Job:
         """Return the job for the tile in row ``tile``; ``left`` is the number of remaining visits of each target."""
+        if len(closed := self.closed_to(tile)):
+            left = left.copy()
+            left[closed] = 0
         years, center = 0.0 if self.years is None else float(self.years[tile]), self.tiling.vectors[tile]
         field = self.builder.field(center, self.radius_rad, left, years=years, margin_rad=self.margin_rad)
         name, *where = self._names[tile], *self.places[tile].tolist()
@@ -189,6 +194,11 @@ class Request(FieldsOfTiles):
         if self.years is not None:
             speed = self.source.speeds(field.row)
         return Job(self.models[tile], name, *where, field, seed, conditions, epoch, time, speed)
+
+    @cached_property
+    def closed_to(self) -> Callable[[int], np.ndarray]:
+        """Function of the row of a tile that returns the slots of the targets that this tile may not observe."""
+        return slots_closed_to(self.state, self.source, len(self.tiling))
 
     @cached_property
     def _names(self) -> list:

@@ -199,6 +199,13 @@ class History:
                 self.past.pop(event.row, None)
             self.past.setdefault(event.row, []).append(event)
 
+    def find_row(self, name: str) -> int:
+        """Return the row of a tile, or raise an error if there is no such tile."""
+        if name not in self.row_of:
+            some = next(iter(self.row_of), "none")
+            raise InputError(f"tile must be a tile of the survey, such as {some}, got {name!r}")
+        return self.row_of[name]
+
     def of(self, name: str) -> list[TileEvent]:
         """Return the recorded observations of a tile."""
         return self.states.of(self.row_of[name]) if name in self.row_of else []

@@ -57,7 +57,7 @@ def renamed(table: Table, columns: dict[str, str]) -> Table:
     The name of the column of priorities can begin with ``-``, as for catalogs, if small numbers have precedence.
     """
     for role, name in columns.items():
-        check_choice(role, (*ROLES, "visits", "dropped", *NUMBERS, *TEXTS), "role of a column")
+        check_choice(role, (*ROLES, "visits", "dropped", "until", *NUMBERS, *TEXTS), "role of a column")
         if name.removeprefix("-" if role == "priority" else "") not in table.colnames:
             raise InputError(f"columns must name columns of the table ({listed(table.colnames)}), got {name!r}")
     names = {role: name if name in table.colnames else name[1:] for role, name in columns.items()}
@@ -108,15 +108,15 @@ def check_others(table: Table, roles: dict[str, str], id_name: str | None) -> No
 
 def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
     """Return the values of the columns of observations by role; None for columns that the table lacks."""
-    n, words = len(table), _texts(table, roles.get("state"))
+    n, words = len(table), texts_of(table, roles.get("state"))
     return {
         "state": words and [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words],
         "good": _flags(table, roles, "good"),
         "replaces": _flags(table, roles, "replaces"),
         "date": [*map(to_date, table[roles["date"]])] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
-        "reason": _texts(table, roles.get("reason")) or [""] * n,
-        **{role: _texts(table, roles.get(role)) for role in (*VISITS, "plan", "generation")},
+        "reason": texts_of(table, roles.get("reason")) or [""] * n,
+        **{role: texts_of(table, roles.get(role)) for role in (*VISITS, "plan", "generation")},
     }
 
 
@@ -142,7 +142,7 @@ def _flags(table: Table, roles: dict, role: str) -> list[bool | None] | None:
     return [None if code < 0 else code == 1 for code in codes]
 
 
-def _texts(table: Table, name: str | None) -> list[str] | None:
+def texts_of(table: Table, name: str | None) -> list[str] | None:
     """Return the values of a column as text; empty text for missing values."""
     if name is None:
         return None
@@ -251,12 +251,7 @@ def _event(state: str, name: str, date: str, fraction: float, history: History, 
 
     ``values`` contains the digests of plans, the generations and the targets in the table, by role (`NAMED`).
     """
-    states = history.states
-    if name not in history.row_of:
-        raise InputError(
-            f"tile must be a tile of the survey, such as {next(iter(history.row_of), 'none')}, got {name!r}"
-        )
-    row = history.row_of[name]
+    states, row = history.states, history.find_row(name)
     if state in (TileState.PLANNED, TileState.DROPPED):
         return TileEvent(row, name, state, date, 0.0)
     earlier = [event for event in states.of(row) if event.date == date]

@@ -36,8 +36,9 @@ from rfpsurvey._survey.history.events import (
     check_not_future,
     grouped,
 )
+from rfpsurvey._survey.history.limits import adds_targets, check_limits, with_limits
 from rfpsurvey._survey.history.replay import TileStates
-from rfpsurvey._survey.history.targets import DROPPED, IS_ADDED, target_changes
+from rfpsurvey._survey.history.targets import DROPPED, IS_ADDED, kinds_of, target_changes
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
@@ -82,11 +83,12 @@ def record(
     dry_run: bool,
     groups: Callable[[str], dict[str, str]],
     cadences: Callable[[], Cadences],
+    tiling: Callable[[], Tiling | None],
     instruments_for: Callable[[Time], list],
 ) -> dict:
     """Append events to the folder of a survey; see `Survey.record`, `History` for ``groups``, and `warn_of_dates`.
 
-    ``cadences`` returns the cadences of the survey, if it has any.
+    ``cadences`` returns the cadences of the survey, if it has any, and ``tiling`` its tiles.
     """
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
@@ -101,13 +103,14 @@ def record(
     table = renamed(table, columns or {})
     roles = roles_of(table)
     named = columns_of_catalog(table, survey.provenance["catalog"].get("columns", ""))
-    if "tile" in roles or tile is not None:
+    is_of_tiles = tile is not None or ("tile" in roles and not adds_targets(table, roles))
+    if is_of_tiles:
         check_others(table, roles, named.get("target"))
     if tile is not None and "tile" in roles:
         raise InputError(
             f"tile must be given only for a table without a column of tiles, got the column {roles['tile']!r}"
         )
-    if ("tile" in roles or tile is not None) and not {*RESULTS} & {*roles}:
+    if is_of_tiles and not {*RESULTS} & {*roles}:
         raise InputError(
             f"a table of observations must have one of the columns {listed(RESULTS)}, got {listed(table.colnames)}; to "
             "record that tiles are finished, add a column state with the value done"
@@ -119,11 +122,12 @@ def record(
         history = History(survey, folder, events, groups)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         has_cadences = "cadences" in survey.provenance["parameters"]
-        if tile is None and "tile" not in roles:
-            table = renamed(table, named)
+        if not is_of_tiles:
+            table = with_limits(renamed(table, named), roles, kinds_of(survey))
             changes, n_known = target_changes(table, events, survey)
             if has_cadences and (column := survey.provenance["rule_columns"][-1]) in changes.colnames:
                 cadences()._rows_of(changes[column])  # raises an error if a cadence is unknown
+            check_limits(changes, history, tiling, has_cadences=has_cadences)
         else:
             dropped = {*history.states.dropped}
             tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces)

@@ -18,11 +18,12 @@ from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.columns import CARDS, N_LOST
 from rfpsurvey._survey.generations import EVENTS
-from rfpsurvey._survey.history.events import Events, TileEvent, TileState
+from rfpsurvey._survey.history.events import Events, TileEvent, TileState, add_tiles
 from rfpsurvey._survey.history.rule import LAST
 from rfpsurvey._survey.source import column_of, is_science
+from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey._survey.work import LOST_IN_COLLISION, VISITS_COLUMNS
-from rfpsurvey.errors import InputError
+from rfpsurvey.errors import InputError, number_of
 
 STATE = table_of(
     TARGET_ID,
@@ -35,6 +36,9 @@ STATE = table_of(
     Column("last", "result of the last visit"),
     Column("last_tile", "tile of the last visit"),
     Column("last_date", "date of the last visit"),
+    Column("only_tile", "only tile that may observe the target"),
+    Column("until", "last date on which the target is wanted"),
+    Column("expired", "number of visits that are no longer requested, because no tile that remains may make them"),
 )
 
 ARRAYS = {"made": ("u1", 0), "failed": ("u1", 0), "last": ("i4", -1), "is_good": ("?", False), "flags": ("u1", 0)}
@@ -311,6 +315,10 @@ def state_table(state) -> QTable:
     for name in ("tile", "date"):
         values = [getattr(event, name) for event in replayed.attempts]
         table[f"last_{name}"] = np.array([*values, ""])[replayed.last]  # -1 stands for targets without a visit
+    if (limits := state.limits) is not None:
+        for name, values in {"only_tile": limits.name, "until": limits.until, "expired": limits.expired}.items():
+            table[name] = np.zeros(len(table), dtype=values.dtype)  # zeros of text are empty text
+            table[name][limits.row] = values
     table.meta["events"] = state.record
     return describe(table, STATE)
 
@@ -318,3 +326,26 @@ def state_table(state) -> QTable:
 def last_results(replayed: Replay) -> np.ndarray:
     """Return the result of the last visit of each target as an index of ``LAST``."""
     return np.where(replayed.last < 0, 0, np.where(replayed.is_good, LAST.index("good"), LAST.index("bad")))
+
+
+def tiling_after(events: Events, states: TileStates, tiling: Tiling) -> Tiling:
+    """Return the tiling of the first plan with the tiles that were added or moved; see `SurveyState.tiling`."""
+    files = events.files
+    added = [event.row for file in files for event in file.tiles if event.place and event.row >= file.n_tiles]
+    first = min(added, default=files[-1].n_tiles if files else 0)
+    if len(tiling) < first or (added and len(tiling) > first):
+        remedy = "; record further tiles with the state added" if len(tiling) > first else ""
+        raise InputError(
+            f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
+            f"{remedy}"
+        )
+    if states.added:
+        tiling = add_tiles(tiling, states.added, TileStates(events.of_tiles()).dropped)
+    names = dict(enumerate(np.asarray(tiling.table["tile"]).astype(str).tolist()))
+    for event in events.of_tiles():
+        if names.get(event.row) != event.tile:
+            raise InputError(
+                f"tiles must be those of the first plan, got the tile {names.get(event.row)} in row {event.row} "
+                f"instead of {event.tile}"
+            )
+    return tiling

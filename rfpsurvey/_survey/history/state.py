@@ -18,8 +18,9 @@ from rfpsurvey._survey.cadences import Cadences, Windows
 from rfpsurvey._survey.folder import read_request
 from rfpsurvey._survey.history.dated import check_dates, replay_windows, times_of
 from rfpsurvey._survey.history.event_files import read_events
-from rfpsurvey._survey.history.events import Events, TileEvent, TileState, add_tiles, to_date
-from rfpsurvey._survey.history.replay import Replay, TileStates, last_results, replay, state_table
+from rfpsurvey._survey.history.events import Events, TileEvent, TileState, to_date
+from rfpsurvey._survey.history.limits import Limits, limits_of
+from rfpsurvey._survey.history.replay import Replay, TileStates, last_results, replay, state_table, tiling_after
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.targets import apply_changes
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -56,6 +57,8 @@ class SurveyState:
         cadences, the tiles.
     windows : Windows or None
         The epochs that the targets have completed, if the targets have cadences.
+    limits : Limits or None
+        The tiles that may observe targets of opportunity, if there are any.
 
     Examples
     --------
@@ -85,6 +88,7 @@ class SurveyState:
     dropped: np.ndarray = field(repr=False, default=None)
     given: tuple = field(repr=False, default=())
     windows: Windows | None = field(repr=False, default=None)
+    limits: Limits | None = field(repr=False, default=None)
 
     @classmethod
     def read(
@@ -108,7 +112,7 @@ class SurveyState:
         rule, visits, until : optional
             As in `rfpsurvey.Survey.state`.
         tiles : Tiling, optional
-            The planned tiles, which are required if the targets have cadences.
+            The planned tiles, which are required if the targets have cadences, or are wanted until a date.
 
         Returns
         -------
@@ -160,10 +164,13 @@ class SurveyState:
         if required is not None:  # at least one visit of each required target is requested
             wanted = np.where(is_required & (wanted == 0) & ~dropped, np.uint8(1), wanted)
         wanted = np.where(dropped, np.minimum(wanted, made), wanted)
+        limits = limits_of((table for _, table in events.target_tables), states, until, tiles)
+        if limits is not None:
+            wanted, limits = limits.apply(wanted, made)
         left = np.where(wanted < made, np.uint8(0), wanted - made)
         if priority is not columns["priority"]:
             catalog = replace(_source.in_memory(catalog, "rules that change priorities"), priority=priority)
-        about = events, rule, until, replayed, states, dropped, given, windows
+        about = events, rule, until, replayed, states, dropped, given, windows, limits
         return cls(catalog, wanted, made, replayed.failed, left, *about)
 
     def before(self, n: int) -> "SurveyState":
@@ -299,11 +306,13 @@ class SurveyState:
     @property
     def record(self) -> dict:
         """The state as text and numbers, as it is written to files."""
+        days = None if self.limits is None else self.limits.days
         return {
             "n_files": len(self.events.files),
             "digest": self.events.digest,
             **({} if self.until is None else {"until": self.until}),
             **({"rule": self.rule.record} if self.rule.record else {}),
+            **({} if days is None else {"days": _source.digest(days)}),
         }
 
     @property
@@ -320,6 +329,7 @@ class SurveyState:
             "n_visits_made": int(self.observed.sum()),
             "n_visits_failed": int(self.failed.sum()),
             **cadences,
+            **({} if self.limits is None else {"n_visits_expired": int(self.limits.expired.sum())}),
         }
 
     @property
@@ -328,7 +338,8 @@ class SurveyState:
 
         Columns: ``target_id``, ``requested``, ``observed``, ``failed``, ``left``, ``kind`` and ``priority`` if the
         catalog has them, ``last`` (``good``, ``bad`` or ``none``), ``last_tile`` and ``last_date``. No visits of
-        standards and sky positions are requested.
+        standards and sky positions are requested. If targets are wanted on a single tile or until a date, the columns
+        ``only_tile`` and ``until``, and ``expired``, the number of visits that are no longer requested, follow.
         """
         return state_table(self)
 
@@ -367,25 +378,7 @@ class SurveyState:
         InputError
             If the tiles are not those of the first plan.
         """
-        files = self.events.files
-        added = [event.row for file in files for event in file.tiles if event.place and event.row >= file.n_tiles]
-        first = min(added, default=files[-1].n_tiles if files else 0)
-        if len(tiling) < first or (added and len(tiling) > first):
-            remedy = "; record further tiles with the state added" if len(tiling) > first else ""
-            raise InputError(
-                f"tiles must be the {number_of(first, 'tile')} of the first plan, got {number_of(len(tiling), 'tile')}"
-                f"{remedy}"
-            )
-        if self.states.added:
-            tiling = add_tiles(tiling, self.states.added, TileStates(self.events.of_tiles()).dropped)
-        names = dict(enumerate(np.asarray(tiling.table["tile"]).astype(str).tolist()))
-        for event in self.events.of_tiles():
-            if names.get(event.row) != event.tile:
-                raise InputError(
-                    f"tiles must be those of the first plan, got the tile {names.get(event.row)} in row {event.row} "
-                    f"instead of {event.tile}"
-                )
-        return tiling
+        return tiling_after(self.events, self.states, tiling)
 
     def __len__(self):
         return len(self.observed)

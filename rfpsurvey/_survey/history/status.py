@@ -31,6 +31,7 @@ STATUS = table_of(
     Column("n_not_assigned", "remaining visits without a fiber, of targets that a tile reaches"),
     Column("n_lost", "remaining visits of targets that were lost to a collision"),
     Column("n_impossible", "remaining visits of targets that no tile can observe"),
+    Column("n_expired", "visits that are no longer requested, because no tile that remains may make them"),
 )
 SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
 """Sizes of areas on the sky in degrees, and their largest number."""
@@ -54,6 +55,7 @@ STATUS_FACTS = (
     Fact("n_lost", "lost to a collision", "n_left", zero=True),
     Fact("n_impossible", "out of reach or excluded", "n_left", zero=True),
     Fact("n_failed", "failed visits", zero=True),
+    Fact("n_expired", "expired visits"),
 )
 """The numbers of the status of a survey that are shown; those of tiles are sums over the passes."""
 
@@ -75,7 +77,9 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         Columns: ``priority``, ``category`` if there are several, ``n_targets`` (with requested visits), ``n_complete``
         (targets with all requested visits), ``n_requested``, ``n_observed``, ``n_failed``, ``n_left`` (remaining
         visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
-        ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). The ``meta`` contains ``tiles``
+        ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). If targets are wanted on a
+        single tile or until a date, ``n_expired`` is the number of visits that are no longer requested, because no tile
+        that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles``
         (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
         ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
         each date), ``failures`` (positioners whose visits failed in several tiles), and ``is_planned``, which states
@@ -129,7 +133,11 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "n_lost": not_planned * lost,
         "n_impossible": not_planned * impossible,
     }
-    classes, counts = classes_by_column(columns["priority"], columns["category"], wanted), {}
+    expired = np.zeros_like(wanted)
+    if state.limits is not None:
+        expired[state.limits.row] = state.limits.expired
+        values["n_expired"] = expired
+    classes, counts = classes_by_column(columns["priority"], columns["category"], wanted + expired), {}
     for column, (class_of, names) in classes.items():
         numbers = [np.bincount(class_of, weights=counted, minlength=len(names)) for counted in values.values()]
         counts[column] = names, np.column_stack(numbers).astype(np.int64)

@@ -23,9 +23,11 @@ IS_ADDED = 2
 IDS = ("target", "target_id", "targetid", "id")
 NUMBERS = ("priority", "subpriority", "ra", "dec", "pmra", "pmdec")
 TEXTS = ("kind", "category", "fiber_type")
-ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED)
+LIMITS = ("only_tile", "only_until")
+"""Columns of the only tile, and of the last date, on which an added target is wanted."""
+ROLES = (*NUMBERS, *TEXTS, "visits", "state", DROPPED, *LIMITS)
 UNITS = {**dict.fromkeys(("ra", "dec", "position_angle"), u.deg), **dict.fromkeys(("pmra", "pmdec"), u.mas / u.yr)}
-DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1)}
+DEFAULTS = {"kind": "science", "category": "", "fiber_type": "", "visits": np.uint8(1), "priority": 0.0}
 # Missing value of a column, by the kind of its data type; -1 for integers.
 MISSING = {"f": np.nan, "U": "", "b": False}
 # Largest distance of a target that is recorded again from its position in the catalog: about 1 mas.
@@ -44,7 +46,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
         raise InputError(
             f"a table of events must have a column tile or target, got the columns {listed(table.colnames)}"
         )
-    kinds = _kinds_of(survey)
+    kinds = kinds_of(survey)
     further = {column: kind for column, kind in kinds.items() if column not in ROLES and column.lower() in lower}
     if not further and not {*ROLES} & {*lower}:
         raise InputError(
@@ -74,7 +76,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     for role, column in given.items():
         if role in NUMBERS:
             changes[role] = to_numbers(column, role)
-        elif role in TEXTS:
+        elif role in (*TEXTS, *LIMITS):
             changes[role] = np.char.strip(np.ma.filled(np.ma.asarray(column).astype(str), "").astype(str))
     if "kind" in given:
         kind = np.asarray(changes["kind"])
@@ -87,7 +89,7 @@ def target_changes(table: Table, events: Events, survey) -> tuple[QTable, int]:
     changes[DROPPED] = _dropped(given, len(ids))
     changes["date"] = [*map(to_date, table[dates[0]])] if dates else [""] * len(ids)
     check_fits_text({f"values of {column!r}": changes[column] for column in changes.colnames}, "omit these targets")
-    _check_numbers(changes, new, "priority" in kinds, ids)
+    _check_numbers(changes, new, "priority" in kinds or _has_priority([*events.target_tables, (n, changes)]), ids)
     complete = [column for column in further if _given(changes[column])[new].all()]
     lacking = [column for column in kinds if column not in (*ROLES, *complete)]
     unknown = [name for name in survey.provenance.get("rule_columns", ()) if name in lacking and name not in further]
@@ -149,7 +151,12 @@ def _given(values: np.ndarray) -> np.ndarray:
     return np.isfinite(values) if values.dtype.kind == "f" else values != ("" if values.dtype.kind == "U" else -1)
 
 
-def _kinds_of(survey) -> dict[str, str]:
+def _has_priority(tables: list[tuple[int, QTable]]) -> bool:
+    """Return whether a priority was recorded; targets of a survey without priorities then have the priority 0."""
+    return any(_given(table["priority"]).any() for _, table in tables if "priority" in table.colnames)
+
+
+def kinds_of(survey) -> dict[str, str]:
     """Return the kinds of the data types of the optional columns of the catalog of a survey, by name."""
     if "target_columns" in survey.provenance:
         return survey.provenance["target_columns"]
@@ -266,8 +273,6 @@ def _check_numbers(changes: QTable, new: np.ndarray, has_priority: bool, ids: np
     for name in {*NUMBERS} & {*changes.colnames}:
         if np.isinf(np.asarray(changes[name])).any():
             raise InputError(f"{name} must be finite numbers, got inf")
-    if not has_priority and "priority" in changes.colnames:
-        raise InputError("priority must be recorded only for a survey of targets with priorities, got one without")
     if not len(new):
         return
     if not {"ra", "dec"} <= {*changes.colnames}:

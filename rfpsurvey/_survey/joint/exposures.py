@@ -84,6 +84,7 @@ class Exposures:
                 conditions = None if request.conditions is None else str(request.conditions[tile].record)
                 years = None if request.years is None else float(request.years[tile])
                 key = *request.places[tile].tolist(), years, conditions, id(request.models[tile])
+                key = *key, request.closed_to(tile).tobytes()
                 groups.setdefault(key, []).append(tile)
         return [np.array(tiles) for tiles in groups.values()]
 

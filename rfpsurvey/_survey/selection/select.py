@@ -151,6 +151,11 @@ def selection_probabilities(
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
     check_without_cadences(catalog if is_state else survey)
+    if is_state and catalog.limits is not None:
+        raise InputError(
+            "selection probabilities must be computed for a survey without targets of single tiles or dates, because "
+            f"realizations do not contain the times of visits, got {len(catalog.limits.row)} of these targets"
+        )
     if survey is not None:
         names = ("tile", "ra", "dec", "position_angle", "pass", *["time"] * ("time" in survey.tiles.colnames))
         tiles = survey.tiles[names]

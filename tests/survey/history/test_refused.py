@@ -129,11 +129,10 @@ def test_tables_that_are_refused(survey):
         refuse(survey, table, sentence)
 
 
-def test_priorities_of_a_survey_without_priorities(case, tmp_path):
+def test_categories_of_a_survey_without_categories(case, tmp_path):
     """Regression: the table was recorded, and no state could be read afterward."""
     plain = rs.Catalog(case[0].coord)
     survey = rs.plan_survey(plain, *case[1:], folder=tmp_path / "survey", allocator="nearest")
-    refuse(survey, events(target=5, priority=3), "priority must be recorded only for a survey of targets with")
     survey.record(events(target=5, visits=2, category="a"))
     state = survey.state(plain)
     assert (state.left[5], state.catalog.category.tolist()) == (2, [""] * 5 + ["a"] + [""] * 54)

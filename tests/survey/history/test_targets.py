@@ -123,3 +123,32 @@ def test_priorities_are_recorded_while_all_tiles_are_dropped(case, survey):
     again = replan(case, survey)
     assert again.record(events(target=1003, priority=7.0))["n_events"] == 1
     assert again.state(case[0]).catalog.priority[3] == 7
+
+
+def test_targets_without_a_priority_have_the_priority_0(case, tmp_path):
+    """An added target with a priority above 0 is observed first, also in all realizations of the survey."""
+    plain, folder = rs.Catalog(case[0].coord, id=case[0].id), tmp_path / "survey"
+    options = rs.AllocationOptions("nearest", subpriority=1)
+    survey = rs.plan_survey(plain, *case[1:], folder=folder, allocator=options)
+    survey.record(events(tile=11, date="2026-01-03"))
+    observed = survey.tile(11)
+    place = case[2].coord[1].spherical_offsets_by(0.04 * u.deg, 0.0 * u.deg)  # 8 mm from the central positioner
+    with pytest.raises(rs.InputError, match="priority must be a finite number for every new target, got none for 5000"):
+        survey.record(new(priority=[np.nan, 2.0]))
+    table = events(target=[5000, 5001], state="added", ra=place.ra.deg, dec=place.dec.deg, priority=[-1.0, 2.0])
+    survey.record(table)
+    with pytest.raises(rs.InputError, match="priority must be a finite number for every new target, got none for 5002"):
+        survey.record(events(target=5002, state="added", ra=120.0, dec=30.0))
+    state = survey.state()
+    assert state.catalog.priority.tolist() == [0.0] * 60 + [-1.0, 2.0]
+    survey = survey.replan()
+    assert (survey.tile(11) == observed).all()
+    first = survey.tile(12)
+    assert 5001 in first["target_id"][first["observed"]].tolist()
+    assert first["priority"].tolist() == [2.0 if name == 5001 else 0.0 for name in first["target_id"].tolist()]
+    status = {row["priority"]: row["n_targets"] for row in survey.status()}
+    assert status == {"all": 62, "2": 1, "0": 60, "-1": 1}
+    assert len(rs.survey.verify_survey(folder)) == 0
+    assert survey.select(8).n_observed[-1] == 8
+    with pytest.raises(rs.InputError, match="priority must be a finite number for every new target, got none for 5002"):
+        survey.record(events(target=5002, state="added", ra=120.0, dec=30.0))
