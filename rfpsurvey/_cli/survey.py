@@ -111,6 +111,14 @@ def record(
             help="Failed visits of the table replace those of earlier records of the same tile and date.",
         ),
     ] = False,
+    swaps: Annotated[
+        bool,
+        typer.Option(
+            "--swaps",
+            help="Each row with a positioner and a target states that this target was observed in place of the planned "
+            "one.",
+        ),
+    ] = False,
     allow_future: Annotated[
         bool, typer.Option("--allow-future", help="Accept dates that are later than tomorrow.")
     ] = False,
@@ -140,7 +148,7 @@ def record(
     if (table is None) == (undo is None):
         raise rs.InputError(f"either a table or --undo must be given, got {'neither' if table is None else 'both'}")
     if undo is not None:
-        if replaces or allow_future or column or tile is not None or enough != "1":
+        if replaces or swaps or allow_future or column or tile is not None or enough != "1":
             raise rs.InputError("--undo must be given without options of tables, got such an option")
         said = rs.Survey.read(folder).undo(undo, note=note, dry_run=dry_run)
         _print_changes(said["changes"])
@@ -153,7 +161,7 @@ def record(
         return
     columns = _command.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
-    options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
+    options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run, "swaps": swaps}
     said = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)
     labels = {"n_events": "new events", "n_known": "already recorded", "n_ignored": "ignored (not observed)"}
     print_facts({label: said[name] for name, label in labels.items()})

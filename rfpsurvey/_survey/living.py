@@ -18,6 +18,7 @@ class Living:
         columns: dict[str, str] | None = None,
         note: str = "",
         replaces: bool = False,
+        swaps: bool = False,
         allow_future: bool = False,
         dry_run: bool = False,
     ) -> dict:
@@ -57,6 +58,10 @@ class Living:
         replaces : bool, optional
             Whether the failed visits of the table replace those of earlier records of the same tile and date, instead
             of being added to them. The column ``replaces`` of the table states this for single tiles.
+        swaps : bool, optional
+            Whether each row with a positioner and a target states that the positioner observed this target in place of
+            the planned one, successfully unless ``good`` is false. The planned target then has no visit. The column
+            ``swaps`` of the table states this for single rows.
         allow_future : bool, optional
             Whether dates later than tomorrow are accepted.
         dry_run : bool, optional
@@ -81,10 +86,11 @@ class Living:
             If a tile with a time was observed on another date, and a planned target moved by more than 0.1 arcsec, or
             the state of a positioner changed, between this time and the night of the observation.
         """
-        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, tiling_in
+        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, request_in, tiling_in
         from rfpsurvey._survey.history.record import record
 
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
+        options |= {"swaps": swaps, "request": partial(request_in, self.folder)}
         options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
         options["tiling"] = partial(tiling_in, self.folder)
         options["instruments_for"] = partial(instruments_in, self.folder)

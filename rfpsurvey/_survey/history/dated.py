@@ -81,7 +81,7 @@ def replay_windows(events: Events, states: TileStates, cadences: Cadences, catal
     windows = Windows(cadences, cadences.of(catalog), days, brightness_of(cadences, tiling))
     done = [event for event in map(states.state_of, states.rows()) if event.state == TileState.DONE]
     for event in sorted(done, key=lambda event: days[event.row]):
-        target, good, _ = visits_of(event, events.visits(event)[0])
+        target, good, _ = visits_of(event, events.observed(event)[0])
         target = target[good]
         windows.enter(target[windows.state(target, event.row)[0]], event.row)
     return windows

@@ -10,7 +10,7 @@ import os
 import re
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Sequence
-from functools import cached_property
+from functools import cache, cached_property
 from io import StringIO
 from itertools import accumulate
 from pathlib import Path
@@ -65,7 +65,8 @@ def append_events(
         "told": told,
         "undoes": undoes,
         "tiles": [
-            event._asdict() | {"failed": grouped((reason, name) for name, reason in event.failed.items())}
+            {name: value for name, value in event._asdict().items() if name != "swaps" or value}
+            | {"failed": grouped((reason, name) for name, reason in event.failed.items())}
             for event in tiles
         ],
     }
@@ -161,9 +162,10 @@ def _failed(event: dict) -> dict[str, str]:
 
 def _is_valid(event: TileEvent) -> bool:
     """Return whether the values of an event have their types."""
-    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool, int)
+    kinds = (int, str, str, str, int | float, str, dict, tuple, bool, list | tuple, bool, int, dict)
     is_possible = event.state in TileState.ALL and len(event.place) in (0, 4)
-    return is_possible and all(map(isinstance, event, kinds)) and event.row >= 0
+    is_possible &= all(map(isinstance, event, kinds)) and event.row >= 0
+    return is_possible and all([*map(type, swap)] == [int, str, str] for swap in event.swaps.values())
 
 
 def _name(number: int) -> str:
@@ -177,7 +179,9 @@ def _digest(text: str) -> str:
 class History:
     """What is known about the tiles of a survey before a table is recorded."""
 
-    def __init__(self, survey, folder: Path, events: Events, groups: Callable[[str], dict[str, str]]):
+    def __init__(self, survey, folder: Path, events: Events, groups: Callable[[str], dict[str, str]], request=dict):
+        self.request = cache(request)
+        """Function that returns the `Request` of the rest of the survey."""
         self.survey, self.events, self.states = survey, events, TileStates(events.of_tiles())
         self.groups = groups
         """Function of the name of a column that returns the group of each positioner, such as its petal, as text."""

@@ -7,8 +7,10 @@ from astropy.table import Table
 
 from rfpsurvey._common.io import check_fits_text
 from rfpsurvey._common.units import to_labels, to_plain
+from rfpsurvey._survey.history.event_checks import check_possible, is_known
 from rfpsurvey._survey.history.event_files import History, on_date
 from rfpsurvey._survey.history.events import TileEvent, TileState, grouped, to_date
+from rfpsurvey._survey.history.swaps import with_swaps_of
 from rfpsurvey._survey.history.targets import IDS, NUMBERS, TEXTS, flag_codes, to_numbers
 from rfpsurvey._survey.tiling.columns import when_of
 from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short, warn
@@ -24,6 +26,7 @@ ROLES = {
     "spectrograph": ("spectrograph", "petal", "module", "block"),
     "reason": ("reason",),
     "replaces": ("replaces",),
+    "swaps": ("swaps",),
     "ra": ("ra", "tilera"),
     "dec": ("dec", "tiledec"),
     "position_angle": ("position_angle", "pa"),
@@ -113,6 +116,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
         "state": words and [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words],
         "good": _flags(table, roles, "good"),
         "replaces": _flags(table, roles, "replaces"),
+        "swaps": _flags(table, roles, "swaps"),
         "date": [*map(to_date, table[roles["date"]])] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": texts_of(table, roles.get("reason")) or [""] * n,
@@ -160,7 +164,14 @@ MOST_FRACTION = 10
 
 
 def tile_events(
-    table: Table, roles: dict, history: History, enough: float, tile: object, *, replaces: bool = False
+    table: Table,
+    roles: dict,
+    history: History,
+    enough: float,
+    tile: object,
+    *,
+    replaces: bool = False,
+    swaps: bool = False,
 ) -> tuple[list[TileEvent], int, int]:
     """Return the new events of tiles, and the numbers of known events and of tiles without an observation."""
     n = len(table)
@@ -168,6 +179,9 @@ def tile_events(
     columns = columns_of(table, roles)
     events, n_known, n_ignored = [], 0, 0
     is_visit = [any(columns[role] and columns[role][k] for role in VISITS) for k in range(n)]
+    columns["swaps"] = [
+        visit and (swaps or bool(columns["swaps"] and columns["swaps"][k])) for k, visit in enumerate(is_visit)
+    ]
     # a table of visits alone states that their tiles were observed
     usual = TileState.DONE if all(is_visit) and not (columns["state"] or columns["fraction"]) else ""
     groups = groups_of(names, columns["date"])
@@ -195,7 +209,10 @@ def tile_events(
                 )
             n_ignored += 1
             continue
+        swapped = [k for k in rows if columns["swaps"][k]]
         named = {role: {columns[role][k] for k in rows if columns[role]} - {""} for role in NAMED}
+        if columns["target"]:  # the targets of swaps are not those of the plan
+            named["target"] = {columns["target"][k] for k in rows if k not in swapped} - {""}
         if state == TileState.ADDED:
             event = _addition(name, history, table, roles, whole)
         else:
@@ -204,11 +221,12 @@ def tile_events(
             is_repeated = any(earlier.date == date for earlier in history.of(name))
             discards = replaces or any(columns["replaces"] and columns["replaces"][k] for k in rows)
             event = event._replace(has_state=bool(whole) or not is_repeated, replaces=discards)
+            event = with_swaps_of(columns, swapped, event, history)
             event = _with_failures(columns, [k for k in rows if k not in whole], event, history, roles)
-        if _is_known(event, history):
+        if is_known(event, history):
             n_known += 1
             continue
-        _check_possible(event, history)
+        check_possible(event, history)
         history.states.add(event)
         events.append(event)
     return events, n_known, n_ignored
@@ -312,52 +330,11 @@ def _addition(name: str, history: History, table: Table, roles: dict, whole: lis
     return TileEvent(row, name, TileState.ADDED, place=tuple(place))
 
 
-def _check_possible(event: TileEvent, history: History) -> None:
-    """Raise an error if an event contradicts the observations of its tile."""
-    attempts, name = history.states.of(event.row), event.tile
-    done = [past for past in attempts if past.state == TileState.DONE and past.observation != event.observation]
-    if event.state == TileState.ADDED and attempts and not np.array_equal(history.place(event.row), event.place):
-        raise InputError(f"tile {name} must not be moved, because an observation of it was recorded")
-    if event.state == TileState.DROPPED and done:
-        raise InputError(f"tile {name} must not be dropped, because it was observed{on_date(done[0].date)}")
-    if event.state == TileState.DONE and done:
-        raise InputError(
-            f"tile {name} must be observed only once, got its observations{on_date(event.date)} and"
-            f"{on_date(done[0].date)}; record one of them as bad"
-        )
-
-
-def _is_known(event: TileEvent, history: History) -> bool:
-    """Return whether an event repeats an earlier record, and warn if this record was corrected since then.
-
-    Without a date, the states ``dropped`` and ``planned`` can be recorded any number of times. A record that changes
-    nothing, but states something new, is kept, so that it does not undo a later correction if it is recorded again.
-    """
-    states, is_dropped, before = history.states, event.row in history.states.dropped, history.earlier(event)
-    is_same = before is not None and before[:7] == event.after(before)[:7]  # all fields up to `failed`
-    if event.state == TileState.ADDED:
-        is_planned = event.row < history.n_tiles_before and not is_dropped
-        is_same = is_planned and np.array_equal(history.place(event.row), event.place)
-    elif event.state in (TileState.DROPPED, TileState.PLANNED):
-        is_same = is_dropped if event.state == TileState.DROPPED else not is_dropped and not states.of(event.row)
-    if not event.date and (is_same or event.state in (TileState.DROPPED, TileState.PLANNED)) and before is None:
-        return is_same
-    if event.replaces:
-        return is_same
-    known = any(past.includes(event) for past in history.past.get(event.row, ()))
-    if known and not is_same:
-        warn(
-            f"the state of tile {event.tile}{on_date(event.date)} was corrected after this record, and the correction "
-            "is kept; to undo it, record the state planned for this tile, and then its observations"
-        )
-    return known
-
-
 def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: History, roles: dict) -> TileEvent:
     """Return the event with the positioners that failed, and those that were successful, according to the table."""
     if not rows:
         return event
-    failed, good, visits = {}, set(), history.events.visits(event)[0]
+    failed, good, visits = {}, set(), history.events.observed(event.after(history.earlier(event)))[0]
     positioners, targets = (list(map(str, visits[name].tolist())) for name in ("positioner", "target_id"))
     positioners_of = {
         what: grouped(zip(names, positioners, strict=True))
@@ -383,7 +360,8 @@ def _with_failures(columns: dict, rows: list[int], event: TileEvent, history: Hi
         target = columns["target"][k] if what == "positioner" and columns["target"] else ""
         if target and (name, target) not in pairs:
             raise InputError(f"target must be that of positioner {name} of tile {event.tile}, got {target!r}")
-        if columns["good"] is None or not columns["good"][k]:
+        stated = columns["good"][k] if columns["good"] else None
+        if not (columns["swaps"][k] if stated is None else stated):  # swaps are successful unless the table states it
             failed |= dict.fromkeys(positioners_of[what][name], columns["reason"][k])
         else:
             good.update(positioners_of[what][name])

@@ -21,6 +21,7 @@ from astropy.time import Time
 from rfpsurvey._common.read_fits import read_fits_bytes
 from rfpsurvey._survey.folder import kept_name, parse_visits, part_name, read_named, verified
 from rfpsurvey._survey.generations import EVENTS
+from rfpsurvey._survey.history.swaps import with_swaps
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError
 
@@ -117,6 +118,8 @@ class TileEvent(NamedTuple):
     """Whether the failed visits of earlier records of the same observation are discarded."""
     made_with: int = -1
     """Number of files of events with which the observed plan was made; -1 if an earlier version did not record it."""
+    swaps: dict = {}  # noqa: RUF012
+    """For positioners that observed another target than planned: row, identifier and kind of this target."""
 
     @property
     def observation(self) -> tuple:
@@ -130,11 +133,14 @@ class TileEvent(NamedTuple):
         stated = self if self.has_state else earlier
         kept = {} if self.replaces else {k: reason for k, reason in earlier.failed.items() if k not in self.good}
         failed = dict(sorted((kept | self.failed).items()))
-        return self._replace(state=stated.state, fraction=stated.fraction, failed=failed)
+        swaps = self.swaps if self.replaces else earlier.swaps | self.swaps
+        return self._replace(state=stated.state, fraction=stated.fraction, failed=failed, swaps=swaps)
 
     def includes(self, other: "TileEvent") -> bool:
         """Return whether the table of this event states everything that the table of another event states."""
         if (self.row, self.date, self.place) != (other.row, other.date, other.place):
+            return False
+        if not other.swaps.items() <= self.swaps.items():
             return False
         stated, needed = ((event.state, event.fraction) if event.has_state else () for event in (self, other))
         return needed in ((), stated) and other.failed.items() <= self.failed.items() and {*other.good} <= {*self.good}
@@ -266,6 +272,11 @@ class Events:
     def visits(self, event: TileEvent) -> tuple[np.ndarray, dict]:
         """Return the visits of the plan with which a tile was observed, and the header cards of the file."""
         return parse_visits(self.plan(event.row, event.plan), f"the plan of tile {event.tile}", event.tile)
+
+    def observed(self, event: TileEvent) -> tuple[np.ndarray, dict]:
+        """Return the visits that a tile made, which are those of `visits` after the swaps, and the header cards."""
+        visits, cards = self.visits(event)
+        return with_swaps(visits, event.swaps), cards
 
 
 def grouped(pairs: Iterable[tuple]) -> dict:

@@ -39,6 +39,7 @@ from rfpsurvey._survey.history.events import (
 from rfpsurvey._survey.history.limits import adds_targets, check_limits, with_limits
 from rfpsurvey._survey.history.replay import TileStates
 from rfpsurvey._survey.history.targets import DROPPED, IS_ADDED, kinds_of, target_changes
+from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
@@ -79,20 +80,23 @@ def record(
     columns: dict | None,
     note: str,
     replaces: bool,
+    swaps: bool,
     allow_future: bool,
     dry_run: bool,
     groups: Callable[[str], dict[str, str]],
     cadences: Callable[[], Cadences],
     tiling: Callable[[], Tiling | None],
     instruments_for: Callable[[Time], list],
+    request: Callable[[], Request],
 ) -> dict:
     """Append events to the folder of a survey; see `Survey.record`, `History` for ``groups``, and `warn_of_dates`.
 
-    ``cadences`` returns the cadences of the survey, if it has any, and ``tiling`` its tiles.
+    ``cadences`` returns the cadences of the survey, if it has any, ``tiling`` its tiles, and ``request`` the request of
+    its rest.
     """
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
-    for name, value in {"dry_run": dry_run, "replaces": replaces, "allow_future": allow_future}.items():
+    for name, value in {"dry_run": dry_run, "replaces": replaces, "swaps": swaps, "allow_future": allow_future}.items():
         check_switch(value, name)
     folder, is_path = _folder_of(survey), isinstance(table, str | os.PathLike)
     told = _told(str(table) if is_path else "", note)
@@ -119,7 +123,7 @@ def record(
         replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         survey = _present_survey(survey, folder)
-        history = History(survey, folder, events, groups)
+        history = History(survey, folder, events, groups, request)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         has_cadences = "cadences" in survey.provenance["parameters"]
         if not is_of_tiles:
@@ -130,7 +134,7 @@ def record(
             check_limits(changes, history, tiling, has_cadences=has_cadences)
         else:
             dropped = {*history.states.dropped}
-            tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces)
+            tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces, swaps=swaps)
             states = history.states
             added = [event.tile for event in tiles if event.state == TileState.ADDED and event.row >= len(survey)]
             if added and has_cadences:
@@ -267,6 +271,7 @@ def _changes(tiles: list[TileEvent], targets: QTable | None) -> dict[str, list[s
     for event in tiles:
         changes.append((CHANGES[event.state], event.tile))
         changes += [("failed visits", f"{event.tile}/{name}") for name in event.failed]
+        changes += [("swapped targets", f"{event.tile}/{name}") for name in event.swaps]
     for row in () if targets is None else targets:
         state = {1: "dropped", IS_ADDED: "added"}.get(int(row[DROPPED]), "changed")
         changes.append((f"targets {state}", str(row["target_id"])))

@@ -187,7 +187,7 @@ class Replay:
         if event.state != TileState.DONE:  # nothing was observed, or the observation will be continued
             events.plan(event.row, event.plan)  # raises an error if the plan is missing
             return
-        visits, cards = events.visits(event)
+        visits, cards = events.observed(event)
         _check_ids(event, visits, ids)
         target, good, lost = visits_of(event, visits)
         self.made[target[good]] += self.made[target[good]] < MOST_VISITS
@@ -267,7 +267,7 @@ def visits_of(event: TileEvent, visits: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def _key(event: TileEvent) -> bytes:
-    text = json.dumps([*event[:6], "\0".join(event.failed)])
+    text = json.dumps([*event[:6], "\0".join(event.failed), *([event.swaps] if event.swaps else [])])
     return hashlib.sha256(text.encode()).hexdigest().encode()
 
 

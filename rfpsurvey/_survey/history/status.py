@@ -237,7 +237,7 @@ def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dic
     dates = list(dict.fromkeys(event.date for event in done))
     tiles, visits = np.zeros(len(dates), dtype=np.int64), np.zeros((len(dates), len(names)), dtype=np.int64)
     for event in done:
-        target, good, _ = visits_of(event, state.events.visits(event)[0])
+        target, good, _ = visits_of(event, state.events.observed(event)[0])
         tiles[dates.index(event.date)] += 1
         visits[dates.index(event.date)] += np.bincount(class_of[target[good]], minlength=len(names))
     visits = visits.cumsum(axis=0)

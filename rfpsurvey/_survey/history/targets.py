@@ -307,8 +307,10 @@ def to_numbers(column, name: str, unit: u.UnitBase | None = None) -> np.ndarray:
 
 
 def flag_codes(column, name: str) -> np.ndarray:
-    """Return 1 for true, 0 for false, and -1 for missing values of a column."""
+    """Return 1 for true, 0 for false, and -1 for missing values of a column, which can be empty text."""
     missing = np.ma.getmaskarray(np.ma.asarray(column))
+    if np.asarray(column).dtype.kind == "U":
+        missing = missing | (np.char.strip(np.asarray(column)) == "")
     if np.asarray(column).dtype.kind == "f":
         missing = missing | np.isnan(np.asarray(column))
     return np.where(missing, -1, to_flags(column, name)).astype(np.int16)
