@@ -277,3 +277,16 @@ def test_targets_that_need_more_visits_than_there_are_exposures(monkeypatch):
                 numbers.append(levels[-1]["n_complete"])
             numbers.append(levels[-1]["bound_complete"])
         assert numbers[:3] == numbers[3:], seed
+
+
+def test_the_time_limit_ends_the_first_plans(monkeypatch):
+    """Regression: the first plans of finished targets were made up to 16 times for each field, whatever the limit."""
+    n_schedules, schedule = [], exposures.Exposures._schedule
+    monkeypatch.setattr(exposures.Exposures, "_schedule", lambda *args: n_schedules.append(1) or schedule(*args))
+    instrument, tiles, catalog, options, _ = repeated(1, "science")
+    for limit in (None, 1 * u.ns):
+        joint = rs.JointOptions(objective="finished", iterations=0, allocator=options, time_limit=limit)
+        rs.plan_survey(catalog, instrument, tiles, allocator=joint)
+        n_schedules.append(0)
+    unlimited = n_schedules.index(0)
+    assert len(n_schedules) - unlimited - 2 == len(np.unique(tiles["ra"])) < unlimited

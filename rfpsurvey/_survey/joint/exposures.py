@@ -11,6 +11,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import csr_array, hstack, vstack
 
+from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.solver import maximize, with_errors
 from rfpsurvey._assignment.weighted import TileCandidates
 from rfpsurvey._kernels import exposures as kernels
@@ -95,12 +96,12 @@ class Exposures:
         return number > max(MOST_PAIRS, FEW_EXPOSURES * len(self.fiber)) and not self._has_rules
 
     def finish(
-        self, plans: list[TilePlan], shares: Shares | None, seed: int, first: np.ndarray | int = 0
+        self, plans: list[TilePlan], shares: Shares | None, seed: int, deadline: float, first: np.ndarray | int = 0
     ) -> tuple[list[TilePlan], np.ndarray]:
         """Return plans that finish targets, with the sky positions of given plans, and which targets to list.
 
         The latter are, for each slot, whether a target is finished or should be considered in addition. Targets of the
-        same class are considered in the order of ``first``.
+        same class are considered in the order of ``first``. No further plan is made after the ``deadline``.
         """
         rng, closed = np.random.default_rng([seed, 5]), [self._closed(tiles, plans) for tiles in self.groups]
         room = np.concatenate([np.empty(0, np.int64), *((slot == -1).sum(axis=0) for slot in closed)])
@@ -121,7 +122,7 @@ class Exposures:
             value = self._value(finished & ~lost, shares)
             if best is None or value > best[0]:
                 best = value, schedules, finished & ~lost
-            if turn == ROUNDS - 1 or not lost.any():
+            if turn == ROUNDS - 1 or not lost.any() or now() >= deadline:
                 break
             gone = np.flatnonzero(lost[self.target] & (uses > 0))
             np.add.at(room, self.fiber[gone], uses[gone])

@@ -139,12 +139,13 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
     if share:
         counted = exposures.in_field & (class_of < len(names)), (builder.wanted > 0) & (builder.left == 0)
         shares = Shares.of(share, request.source.by_slot("category"), *counted)
-    found, listed = exposures.finish(plans, shares, request.seed)
+    end = now() + FOR_PRICES * min(request.joint.seconds, 1e9)
+    found, listed = exposures.finish(plans, shares, request.seed, end)
     starts, n = [found], len(names)
     weights = (1e4 ** (np.arange(n - 1, -1, -1.0) / max(n - 1, 1)))[np.minimum(class_of[exposures.slots], n - 1)]
-    first = exposures.relax(weights, now() + FOR_PRICES * min(request.joint.seconds, 1e9), shares)[1]
+    first = exposures.relax(weights, end, shares)[1]
     if (first < 2).any():
-        found, further = exposures.finish(plans, shares, request.seed, first)
+        found, further = exposures.finish(plans, shares, request.seed, end, first)
         starts.append(found)
         listed |= further
     if not exposures.is_large:
@@ -324,9 +325,8 @@ def plan_jointly(request: Request, folder, executor, progress) -> tuple[Request,
         if is_finished:
             exposures, shares, others, chosen = _finish_exposures(request, plans, fixed)
             starts += others
-        network, directions, subpriority = list_all(
-            request, starts[0 if chosen is None else -1], fixed, executor, chosen
-        )
+        first = starts[0 if chosen is None else -1]
+        network, directions, subpriority = list_all(request, first, fixed, executor, chosen)
         goals = [] if has_cadences or is_finished else goals_of(request, network, subpriority)
         chosen, *others = (place(network, plans) for plans in starts)
         if has_cadences:
