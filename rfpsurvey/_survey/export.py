@@ -197,7 +197,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
         name, digest = then["name"], then.get("digest")
         raise InputError(
             f"instrument must be that of the survey, {name} with the digest {digest}, got {model.name} with the digest "
-            f"{now['digest']}; give the instrument as it was planned (instrument=)"
+            f"{now['digest']}; give the instrument as it was planned with instrument= (or --set instrument=PATH)"
         )
     return PlannedTiles(survey, model)
 

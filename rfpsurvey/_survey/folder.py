@@ -58,6 +58,10 @@ KINDS = {"target_row": ("i", "integers"), "in_collision": ("b", "booleans"), "ob
 """Columns that the file of each tile must have, and the types of some of them."""
 ENTRIES = {"events": dict, "first": dict, "columns": dict, "required_ids": list, "planned": str, "generation": int}
 """Entries of a request that are used without a comparison with those of another request, and their types."""
+MOVED = (
+    "; the targets must be moved to the same times: if times of tiles determine these, tiles can be added only with an "
+    "epoch= (or --epoch) of the first plan"
+)
 
 
 class Folder(RequestFolder):
@@ -150,7 +154,8 @@ class Folder(RequestFolder):
                 super()._compare(before, now)
             except InputError as error:
                 remedy = f", or tiles of which the first {n} are those of this folder in the same order"
-                raise InputError(f"{error}{remedy if more > n else ''}") from None
+                is_moved = before["given"] == now["given"] and before.get("catalog") != now["catalog"]
+                raise InputError(f"{error}{remedy if more > n else ''}{MOVED if is_moved else ''}") from None
             return
         self._state.check_current()
         now["first"]["visits"] = before.get("first", before).get("visits")
@@ -175,7 +180,7 @@ class Folder(RequestFolder):
             text = str(error).replace(
                 "; give another folder", "; all options except visits must be those of the first plan"
             )
-            raise InputError(text) from None
+            raise InputError(text + MOVED * (earlier.get("epoch") != same.get("epoch"))) from None
 
     def _for_tiles_of(self, before: dict, now: dict) -> dict:
         """Return the entries of the request for the tiles in the folder, if it has further tiles; otherwise, {}."""

@@ -183,6 +183,22 @@ def test_times_have_no_effect_without_proper_motions_and_states(tmp_path):
     assert contents[0] == contents[1] == contents[2]
 
 
+def test_tiles_are_added_only_if_targets_are_moved_to_a_requested_epoch(tmp_path):
+    """Regression: the message stated only that the catalog or the epoch differs."""
+    times = Time(["2020-01-01", "2020-02-01", "2020-03-01", "2021-01-01"])
+    catalog, model, table = moving_targets(9)[0], living.instrument(), dated(9, times).table
+    message = "the targets must be moved to the same times: .* only with an epoch= "
+    first, every = rs.Tiling(table[:3]), rs.Tiling(table)
+    options = {"order": "given", "folder": tmp_path / "moved"}
+    rs.plan_survey(catalog, model, first, **options)
+    refused(message, rs.plan_survey, catalog, model, every, resume=True, **options)
+    rs.Survey.read(tmp_path / "moved").record(Table({"tile": [11], "state": ["done"]}))
+    refused(message, rs.Survey.read(tmp_path / "moved").replan, tiles=every)
+    options = {"order": "given", "folder": tmp_path / "epoch", "epoch": 2020}
+    rs.plan_survey(catalog, model, first, **options)
+    assert len(rs.plan_survey(catalog, model, every, resume=True, **options)) == 4
+
+
 WRONG = [
     ("time", ["2026-01-01", "soon"], "time of tile 12 must be a date and time .* got 'soon'"),
     ("date", MaskedColumn(["2026-01-01", ""], mask=[0, 1]), "time of tile 12 must be a date and time .* got ''"),
