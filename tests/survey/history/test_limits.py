@@ -129,7 +129,13 @@ def test_targets_of_opportunity_are_observed_only_where_they_are_wanted(seed, na
     survey = survey.replan()
     n_planned = check(survey, naive, top=5000)
     for number, row in enumerate(order[1:], 1):
-        naive.observe(survey, names[row], day(number), rng)
+        state = rng.choice(["done", "bad", "dropped"]) if number < 3 else "done"
+        if state == "done":
+            naive.observe(survey, names[row], day(number), rng)
+        else:
+            survey.record(events(tile=names[row], date=day(number) if state == "bad" else "", state=str(state)))
+            naive.last = day(number) if state == "bad" else naive.last
+            naive.closed |= {names[row]} if state == "dropped" else set()
         survey = survey.replan()
         check(survey, naive, top=5000)
     assert n_planned > 0
@@ -249,3 +255,27 @@ def test_a_column_of_the_catalog_remains_one(case, tmp_path):
         survey.record(added(until=7.0))
     assert survey.state().catalog.extra["until"][-1] == 7
     assert survey.state().limits is None
+
+
+@pytest.mark.parametrize("allocator", ["nearest", JOINT["finished"]])
+def test_a_partly_observed_tile_keeps_targets_whose_date_has_passed(case, allocator, tmp_path):
+    """The visit of the target expires, but it counts when the tile is finished after all."""
+    tiles = dated_tiles(np.random.default_rng(0), 3, same=False)
+    tiles["mjd"] = Time(str(FIRST)).mjd + np.arange(3) + 5 / 24
+    options = {"allocator": allocator, "folder": tmp_path / "plan"}
+    survey = rs.plan_survey(targets(), instrument(), rs.Tiling.from_table(tiles), **options)
+    place = place_in(rs.Tiling.from_table(tiles).coord[0], 3)
+    survey.record(added(ra=place.ra.deg, dec=place.dec.deg, priority=99.0, until=day(0)))
+    survey = survey.replan()
+    plan = survey.tile(11)
+    assert 5000 in plan["target_id"][plan["observed"]].tolist()
+    survey.record(events(tile=[11, 12], date=[day(0), day(1)], state=["partly", "done"]))
+    survey = survey.replan()
+    assert (survey.tile(11) == plan).all()
+    row = survey.state().table[-1]
+    assert (row["requested"], row["observed"], row["expired"]) == (0, 0, 1)
+    survey.record(events(tile=11, date=day(2)))
+    survey = survey.replan()
+    row = survey.state().table[-1]
+    assert (row["requested"], row["observed"], row["expired"]) == (1, 1, 0)
+    assert len(rs.survey.verify_survey(survey.folder)) == 0
