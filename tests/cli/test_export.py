@@ -188,3 +188,17 @@ def test_arms_with_both_elbows_are_not_exported_in_wrong_poses(tmp_path):
     survey = rs.plan_survey(sky, model, tiles, allocator="optimal", folder=tmp_path / "plan")
     with pytest.raises(rs.InputError, match=r"\(handedness both\), which the folder does not contain"):
         survey.export([1], output=tmp_path / "out", instrument=model)
+
+
+def test_alternates_are_exported_and_recorded_as_swaps(call, refused, folder, tmp_path):
+    out = tmp_path / "out"
+    ended = call("export {} --tiles 12 --alternates 2 --output {}", folder, out)
+    assert "alternates: alternates-12.ecsv" in ended.text
+    assert content(out)[:1] == ["alternates-12.ecsv"]
+    row = QTable.read(out / "alternates-12.ecsv")["tile", "positioner", "target_id"][0]
+    Table({name: [row[name]] for name in row.colnames}).write(tmp_path / "swaps.csv")
+    assert "must be a positioner of tile 12 with a visit" in refused("record {} {}", folder, tmp_path / "swaps.csv")
+    lines = call("record {} {} --swaps", folder, tmp_path / "swaps.csv").lines
+    assert lines["swapped targets"] == ["1", f"12/{row['positioner']}"]
+    assert "must be given without options of tables" in refused("record {} --undo 1 --swaps", folder)
+    assert "--alternates must be a whole number" in refused("export {} --alternates 0 --output {}", folder, out)
