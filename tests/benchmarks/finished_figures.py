@@ -1,4 +1,4 @@
-"""Finished targets of joint plans that maximize visits or finished targets (page on joint plans).
+"""Finished targets of joint plans that maximize visits or finished targets (page on finished targets).
 
 Run ``python tests/benchmarks/finished_figures.py``, which takes about ten minutes. With ``--share``, it prints the
 finished fractions of three categories with and without shares. With ``--peer``, it plans each scene also with netflow,
