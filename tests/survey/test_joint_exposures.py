@@ -290,3 +290,19 @@ def test_the_time_limit_ends_the_first_plans(monkeypatch):
         n_schedules.append(0)
     unlimited = n_schedules.index(0)
     assert len(n_schedules) - unlimited - 2 == len(np.unique(tiles["ra"])) < unlimited
+
+
+def test_bound_of_shares_if_no_target_can_be_finished(monkeypatch):
+    """Regression: the bound was 0, although fixed tiles had finished targets of all categories."""
+    monkeypatch.setattr(exposures, "MOST_PAIRS", -1)
+    for seed in (0, 2, 4, 7):
+        instrument, tiles, catalog, options, _ = repeated(seed, "science")
+        category = np.where(np.arange(len(catalog)) % 2, "a", "b")
+        catalog = replace(catalog, category=category, visits=np.ones(len(catalog), int))
+        before = rs.plan_survey(catalog, instrument, tiles, allocator=options)
+        joint = rs.JointOptions(objective="finished", share="category", iterations=1, allocator=options, fixed=before)
+        summary = rs.plan_survey(catalog, instrument, tiles, allocator=joint).summary["joint"]
+        is_done = np.asarray(before.outcomes["observed"]) > 0
+        assert [row["n_complete"] for row in summary["shares"]] == [is_done[category == k].sum() for k in ("a", "b")]
+        smallest = min(row["fraction"] for row in summary["shares"])
+        assert 0 < smallest <= summary["bound_of_smallest"] < smallest + 0.01, seed

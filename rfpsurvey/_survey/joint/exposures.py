@@ -230,7 +230,7 @@ class Exposures:
         kind, column = np.nonzero(kinds[:, 3:] >= 0)
         n, m, used = len(kind), len(kinds), kinds[kind, column + 3]
         if n == 0 or n + m > MOST_VARIABLES:
-            return (np.inf if n else 0.0), order
+            return (0.0 if n == 0 and shares is None else np.inf), order
         fibers, number = np.unique(used, return_inverse=True)
         single = csr_array((np.ones(n), (number.reshape(-1), np.arange(n))), shape=(len(fibers), n))
         visits = csr_array((np.full(n, -1.0), (kind, np.arange(n))), shape=(m, n))
