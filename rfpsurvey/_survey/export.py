@@ -307,6 +307,10 @@ def export(
                 numbers = (tile.summary["n_assigned"], tile.summary["n_colliding"], " ".join(tile.summary["unmet"]))
                 records.append((name, path.name, len(plan), *numbers))
                 tell(number)
+        names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
+        without = f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})"
+        if not records:
+            raise InputError(f"at least one tile must have a plan to export, got {without}")
         planned.put_instruments(folder)
     except BaseException:
         if is_new:
@@ -318,9 +322,8 @@ def export(
     if n_stuck:
         warn(f"{number_of(n_stuck, 'stuck fiber')} on sky are written without a position and an identifier of a target")
     if left_out:
-        names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
-        warn(f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})")
-    columns = [np.array(values) for values in zip(*records, strict=True)] or [np.empty(0)] * len(EXPORTED)
+        warn(without)
+    columns = [np.array(values) for values in zip(*records, strict=True)]
     table = QTable(dict(zip(EXPORTED, columns, strict=True)), meta={"folder": str(folder), "left_out": left_out})
     return describe(table, EXPORTED)
 
