@@ -319,6 +319,10 @@ def export(
                     write_table(others.of_tile(row, alternates), temporary)
                     records[-1] += (path.name,)
                 tell(number)
+        names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
+        without = f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})"
+        if not records:
+            raise InputError(f"at least one tile must have a plan to export, got {without}")
         planned.put_instruments(folder)
     except BaseException:
         if is_new:
@@ -330,10 +334,9 @@ def export(
     if n_stuck:
         warn(f"{number_of(n_stuck, 'stuck fiber')} on sky are written without a position and an identifier of a target")
     if left_out:
-        names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
-        warn(f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})")
+        warn(without)
     names = [*EXPORTED][: len(EXPORTED) - (others is None)]
-    columns = [np.array(values) for values in zip(*records, strict=True)] or [np.empty(0)] * len(names)
+    columns = [np.array(values) for values in zip(*records, strict=True)]
     table = QTable(dict(zip(names, columns, strict=True)), meta={"folder": str(folder), "left_out": left_out})
     return describe(table, EXPORTED)
 

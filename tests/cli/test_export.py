@@ -138,6 +138,15 @@ def test_tiles_without_a_plan_are_left_out_and_named(call, refused, record, fold
     assert "tile 12 was dropped, and has no plan" in refused("export {} --tiles 12 --output {}", folder, tmp_path)
 
 
+def test_an_export_without_files_fails(call, refused, record, folder, tmp_path):
+    """Regression: the exit code was 0, and an empty folder was made."""
+    record(folder, tile=[11, 12, 13, 14], state=["dropped"] * 4)
+    call("survey {} --replan", folder)
+    message = "rfpsurvey: at least one tile must have a plan to export, got 4 tiles left out: 11, 12, 13, 14"
+    assert refused("export {} --output {}", folder, tmp_path / "out").startswith(message)
+    assert not (tmp_path / "out").exists()
+
+
 def test_plans_of_another_state_of_the_instrument_are_left_out(call, refused, record, folder, tmp_path):
     """Before the second plan, the positioners of all targets of tile 11 that did not collide broke."""
     record(folder, tile=[11], state=["done"], date=["2026-01-03"])
