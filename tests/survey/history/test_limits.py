@@ -118,7 +118,7 @@ def test_targets_of_opportunity_are_observed_only_where_they_are_wanted(seed, na
     naive.observe(survey, names[order[0]], day(0), rng)
     rows = []
     for k in range(8):  # the tile of the most important target is observed at the end
-        row = order[-1] if k == 0 else order[rng.integers(1, n)]
+        row = {0: order[-1], 3: order[2]}.get(k, order[rng.integers(1, n)])
         only = names[row] if k % 3 == 0 else None
         latest = Time(tiles["mjd"][row], format="mjd").isot[:10]
         until = max(latest, day(int(rng.integers(n)))) if k % 3 or (k and rng.random() < 0.5) else ""
@@ -129,7 +129,7 @@ def test_targets_of_opportunity_are_observed_only_where_they_are_wanted(seed, na
     survey = survey.replan()
     n_planned = check(survey, naive, top=5000)
     for number, row in enumerate(order[1:], 1):
-        state = rng.choice(["done", "bad", "dropped"]) if number < 3 else "done"
+        state = {1: rng.choice(["done", "bad"]), 2: "dropped"}.get(number, "done")
         if state == "done":
             naive.observe(survey, names[row], day(number), rng)
         else:
@@ -233,6 +233,13 @@ def test_limits_change_and_are_undone(survey):
         survey.undo(number)
     assert survey.state().table["requested"][-1] == 0
     assert survey.replan().status()["n_expired"][0] == 0
+
+
+def test_limits_have_the_date_of_their_table(survey):
+    survey.record(added(until=day(3), date=day(1)))
+    survey.record(events(target=5000, until=day(5), date=day(2)))
+    assert [survey.state(until=day(k)).limits.until.tolist() for k in (1, 2)] == [[day(3)], [day(5)]]
+    assert survey.state(until=day(0)).limits is None
 
 
 def test_a_rule_requests_one_visit_of_a_target_of_a_single_tile(survey):
