@@ -9,7 +9,7 @@ from rfpsurvey._survey.joint.shares import UNITS, Shares
 from rfpsurvey._survey.joint.values import Steps
 
 # Largest number of nodes of the search tree, times the number of variables.
-EFFORT = 2e7
+EFFORT = 4e5
 
 
 class EqualTiles:

@@ -233,7 +233,8 @@ class FinishedSearch(WindowSearch):
         for k, weights in programs.items():
             if self.out_of_time() or not (self._is_open[k] if k >= 0 else shares is not None or self._is_open.any()):
                 continue
-            end = now() + FOR_ALL * min(self._limit - self.seconds, 1e9) / (1 if k >= 0 else 2)
+            part = FOR_ALL if exposures is not None or self._together.has_equal else FOR_PRICES
+            end = now() + part * min(self._limit - self.seconds, 1e9) / (1 if k >= 0 else 2)
             given = None if k >= 0 or shares is None else self.shares if exposures is None else shares
             bound, is_used = (exposures or self._together).solve(weights, end, given)
             if k >= 0:
