@@ -87,13 +87,11 @@ class Living:
             the state of a positioner changed, between this time and the night of the observation.
         """
         from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, request_in, tiling_in
-        from rfpsurvey._survey.history.record import record
+        from rfpsurvey._survey.history.record import Readers, record
 
-        options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run}
-        options |= {"swaps": swaps, "request": partial(request_in, self.folder)}
-        options |= {"groups": partial(groups_in, self.folder), "cadences": partial(cadences_in, self.folder)}
-        options["tiling"] = partial(tiling_in, self.folder)
-        options["instruments_for"] = partial(instruments_in, self.folder)
+        readers = groups_in, cadences_in, tiling_in, instruments_in, request_in
+        options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run, "swaps": swaps}
+        options["readers"] = Readers(*(partial(reader, self.folder) for reader in readers))
         return record(self, table, enough=enough, tile=tile, columns=columns, **options)
 
     def undo(self, number: int, *, note: str = "", dry_run: bool = False) -> dict:

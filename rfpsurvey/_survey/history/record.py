@@ -10,6 +10,7 @@ from datetime import UTC
 from getpass import getuser
 from numbers import Integral, Number
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from astropy.table import QTable, Table
@@ -71,6 +72,16 @@ CHANGES = {
 }
 
 
+class Readers(NamedTuple):
+    """Functions that read what the folder of a survey describes."""
+
+    groups: Callable[[str], dict[str, str]]  # see `History`
+    cadences: Callable[[], Cadences]
+    tiling: Callable[[], Tiling | None]
+    instruments: Callable[[Time], list]  # see `warn_of_dates`
+    request: Callable[[], Request]  # of the rest of the survey
+
+
 def record(
     survey,
     table: object,
@@ -83,17 +94,9 @@ def record(
     swaps: bool,
     allow_future: bool,
     dry_run: bool,
-    groups: Callable[[str], dict[str, str]],
-    cadences: Callable[[], Cadences],
-    tiling: Callable[[], Tiling | None],
-    instruments_for: Callable[[Time], list],
-    request: Callable[[], Request],
+    readers: Readers,
 ) -> dict:
-    """Append events to the folder of a survey; see `Survey.record`, `History` for ``groups``, and `warn_of_dates`.
-
-    ``cadences`` returns the cadences of the survey, if it has any, ``tiling`` its tiles, and ``request`` the request of
-    its rest.
-    """
+    """Append events to the folder of a survey; see `Survey.record`."""
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
     for name, value in {"dry_run": dry_run, "replaces": replaces, "swaps": swaps, "allow_future": allow_future}.items():
@@ -123,15 +126,15 @@ def record(
         replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         survey = _present_survey(survey, folder)
-        history = History(survey, folder, events, groups, request)
+        history = History(survey, folder, events, readers.groups, readers.request)
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         has_cadences = "cadences" in survey.provenance["parameters"]
         if not is_of_tiles:
             table = with_limits(renamed(table, named), roles, kinds_of(survey))
             changes, n_known = target_changes(table, events, survey)
             if has_cadences and (column := survey.provenance["rule_columns"][-1]) in changes.colnames:
-                cadences()._rows_of(changes[column])  # raises an error if a cadence is unknown
-            check_limits(changes, history, tiling, has_cadences=has_cadences)
+                readers.cadences()._rows_of(changes[column])  # raises an error if a cadence is unknown
+            check_limits(changes, history, readers.tiling, has_cadences=has_cadences)
         else:
             dropped = {*history.states.dropped}
             tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces, swaps=swaps)
@@ -149,7 +152,7 @@ def record(
         dates = [event.date for event in tiles] if changes is None else changes["date"].tolist()
         if not allow_future:
             check_not_future(dates)
-        warn_of_dates(tiles, events, instruments_for)
+        warn_of_dates(tiles, events, readers.instruments)
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
             append_events(history, tiles, changes, table, told)
