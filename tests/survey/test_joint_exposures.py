@@ -166,7 +166,7 @@ def repeated(seed, roles):
     return instrument, tiles, catalog, options, needs
 
 
-@pytest.mark.parametrize("seeds", [range(10), pytest.param(range(10, 60), marks=pytest.mark.exhaustive)])
+@pytest.mark.parametrize("seeds", [[*range(10), 23], pytest.param(range(10, 60), marks=pytest.mark.exhaustive)])
 @pytest.mark.parametrize("roles", ["science", "kinds", "several"])
 @pytest.mark.parametrize("more", [100, 0])
 def test_plans_of_chosen_targets(monkeypatch, roles, more, seeds):

@@ -64,7 +64,9 @@ class FinishedSearch(WindowSearch):
         self.worth = steps_of(network, request.joint.objective, request.builder, category)
         self.has_moves = request.joint.objective == "finished"
         self.columns = FinishedSearch.columns if self.has_moves else ("value", "bound_value")
-        super().__init__(network, self._without_surplus(plans[0]), request)
+        # arms at targets that are not listed are idle, and can then collide with others
+        first = plans[0] if exposures is None else without_collisions(network, plans[0])
+        super().__init__(network, self._without_surplus(first), request)
         self._is_proven = np.zeros(len(self.levels), dtype=bool)
         for plan in plans[1:]:
             plan = without_collisions(network, plan)
