@@ -169,9 +169,10 @@ if __name__ == "__main__":
             print_peer(seconds, given.peer_seconds, *scene(**options))
             continue
         catalog, pfs, tiles = scene(**options)
-        fewest = rs.AllocationOptions("optimal", subpriority="fewest remaining visits")
-        made = np.asarray(rs.plan_survey(catalog, pfs, tiles, allocator=fewest).outcomes["observed"])
-        print(f"{options} tile by tile, fewest remaining visits first: {(made >= catalog.visits).sum()} finished")
+        for subpriority in (None, "fewest remaining visits"):
+            allocator = rs.AllocationOptions("optimal", subpriority=subpriority)
+            made = np.asarray(rs.plan_survey(catalog, pfs, tiles, allocator=allocator).outcomes["observed"])
+            print(f"{options} tile by tile, subpriority {subpriority}: {(made >= catalog.visits).sum()} finished")
         for objective in ("visits", "finished"):
             done, visits, bound, spent, _ = measured(objective, seconds, catalog, pfs, tiles)
             print(

@@ -18,6 +18,7 @@ from rfpsurvey._kernels import exposures as kernels
 from rfpsurvey._survey.joint.fixed import TilePlan
 from rfpsurvey._survey.joint.network import Network
 from rfpsurvey._survey.joint.shares import UNITS, Shares
+from rfpsurvey._survey.joint.values import starts_of
 from rfpsurvey._survey.work import reach_of
 
 # Numbers of reachable pairs of all tiles, and of exposures of each field, above which the search considers only chosen
@@ -147,9 +148,14 @@ class Exposures:
         by_class = np.bincount(self.class_of[self.slots[finished]], minlength=self.n_classes).tolist()
         if shares is None:
             return tuple(by_class)
+        number = self._count(finished, shares)
+        return *np.sort(np.round(shares.fractions(number), 9)).tolist(), *by_class
+
+    def _count(self, finished: np.ndarray, shares: Shares) -> np.ndarray:
+        """Return the number of finished targets of each category."""
         is_done = self.is_finished.copy()
         is_done[self.slots[finished]] = True
-        return *np.sort(np.round(shares.fractions(shares.count(is_done)), 9)).tolist(), *by_class
+        return shares.count(is_done)
 
     def _add_targets(self, order: np.ndarray, shares: Shares | None, state: tuple) -> None:
         """Finish further targets in an order, first such that the finished fractions are balanced."""
@@ -158,11 +164,9 @@ class Exposures:
             group, n = shares.group[self.slots], len(shares.size)
             lists = order[np.argsort(group[order], kind="stable")]
             lists = lists[group[lists] >= 0]
-            is_done = self.is_finished.copy()
-            is_done[self.slots[finished]] = True
-            done = shares.count(is_done)
+            done = self._count(finished, shares)
             scale = shares.size * shares.weight
-            given = lists, _starts(group[lists], n), scale, done
+            given = lists, starts_of(group[lists], n), scale, done
             kernels.finish_targets(*given, needed, *state)
             kernels.balance(*given, group, needed, *state)
         for level in range(self.n_classes):
@@ -263,7 +267,7 @@ class Exposures:
         n, m = len(self.slots), len(self.room)
         by_fiber = np.argsort(self.fiber, kind="stable")
         most = np.minimum(self.needed[self.slots[self.target]], self.room[self.fiber])
-        starts = _starts(self.target, n), _starts(self.fiber, m)
+        starts = starts_of(self.target, n), starts_of(self.fiber, m)
         return kernels.Pairs(starts[0], self.fiber, self.target, starts[1], by_fiber, most)
 
     def _closed(self, tiles: np.ndarray, plans: list[TilePlan]) -> np.ndarray:
@@ -317,11 +321,6 @@ def _columns(tile: TileCandidates) -> tuple[np.ndarray, np.ndarray]:
     shape = len(tile.indptr) - 1, len(tile.target)
     columns = csr_array((np.ones(len(tile.column)), tile.column, tile.indptr), shape=shape).tocsc()
     return columns.indptr.astype(np.int64), columns.indices.astype(np.int64)
-
-
-def _starts(index: np.ndarray, n: int) -> np.ndarray:
-    """Return where the rows 0 to n begin in an array of row numbers after it is sorted."""
-    return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
 
 
 def colliding(network: Network, chosen: np.ndarray) -> np.ndarray:

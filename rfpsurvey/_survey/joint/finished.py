@@ -1,9 +1,9 @@
 """The search for a joint plan that finishes as many targets as possible.
 
-A target is *finished* if it receives all its remaining visits, on any tiles. Local moves complete targets, as for
-cadences with a single epoch. Integer programs for patches of the sky, or for all tiles, then improve the plan. There,
-a further variable of each target is 1 if the target is finished, and is at most its number of visits divided by the
-number that it requires. The program for all tiles also gives an upper bound.
+A target is *finished* if it receives all its remaining visits, on any tiles; this is a value of 1 of this number of
+visits (`Steps`), and targets can also have other values. Local moves complete targets, as for cadences with a single
+epoch. Integer programs for patches of the sky, or for all tiles, then improve the plan. There, further variables state
+which number of visits each target reaches. The program for all tiles also gives an upper bound.
 """
 
 from concurrent.futures import Executor
@@ -63,6 +63,7 @@ class FinishedSearch(WindowSearch):
         category = request.source.by_slot("category")
         self.worth = steps_of(network, request.joint.objective, request.builder, category)
         self.has_moves = request.joint.objective == "finished"
+        self._weights = class_weights(network.n_classes, len(network.slot))
         self.columns = FinishedSearch.columns if self.has_moves else ("value", "bound_value")
         # arms at targets that are not listed are idle, and can then collide with others
         first = plans[0] if exposures is None else without_collisions(network, plans[0])
@@ -183,7 +184,7 @@ class FinishedSearch(WindowSearch):
         network, patches = self.network, Patches(self.network, np.zeros(len(self.network.start) - 1, dtype=np.int64))
         gains = {k: (np.arange(network.n_classes) <= level).astype(float) for k, level in enumerate(self.levels)}
         if network.n_classes > 1:  # first the plan that is best in the order of the classes
-            gains = {-1: class_weights(self.network), **gains}
+            gains = {-1: self._weights, **gains}
         for k, weights in gains.items():
             is_open = self._is_open & ~self._is_proven
             if not (is_open.any() if k < 0 else is_open[k]) or self.out_of_time():
@@ -211,7 +212,7 @@ class FinishedSearch(WindowSearch):
                 break
             seconds = min(self._limit - self.seconds, 1e9) * (FOR_ALL / (rounds + 1) if is_small else 1.0)
             nodes = int(EFFORT / len(network.target)) if is_small else NODES
-            problem = self._program(patches, k, class_weights(self.network), time() + seconds, nodes)
+            problem = self._program(patches, k, self._weights, time() + seconds, nodes)
             outside = self._counts_of_targets()[:, 0] > 0
             outside[problem[2]] = False
             given = problem[2], self.shares, self.shares.count(outside), rounds, now() + seconds * (rounds + 1)
@@ -231,7 +232,7 @@ class FinishedSearch(WindowSearch):
             return
         programs = {k: (np.arange(network.n_classes) <= level) * 1.0 for k, level in enumerate(self.levels)}
         if shares is not None or (network.n_classes > 1 and exposures is None):
-            programs = {-1: class_weights(network), **programs}
+            programs = {-1: self._weights, **programs}
         for k, weights in programs.items():
             if self.out_of_time() or not (self._is_open[k] if k >= 0 else shares is not None or self._is_open.any()):
                 continue
@@ -275,7 +276,7 @@ class FinishedSearch(WindowSearch):
             if self.out_of_time():
                 break
             deadline = time() + self._limit - self.seconds
-            problems = [self._program(patches, k, class_weights(self.network), deadline, NODES) for k in group]
+            problems = [self._program(patches, k, self._weights, deadline, NODES) for k in group]
             results = map_in_order(executor, solve_weighted, [problem for _, problem, _ in problems])
             for k, problem, (chosen, _) in zip(group, problems, results, strict=True):
                 self._take(patches.members[k], problem, chosen)

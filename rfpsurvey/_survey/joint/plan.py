@@ -26,7 +26,7 @@ from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, 
 from rfpsurvey._survey.joint.network import Network, make_network
 from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of, table_of
 from rfpsurvey._survey.joint.shares import Shares
-from rfpsurvey._survey.joint.values import worth_of
+from rfpsurvey._survey.joint.values import class_weights, worth_of
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Done, Job, plan_of, projection_of, run_rounds
@@ -122,9 +122,9 @@ def list_all(
 
 
 def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
-    """Return plans that finish targets, the shares of the categories, and the targets to list.
+    """Return the `Exposures`, the shares of the categories, plans that finish targets, and which targets to list.
 
-    The first value are all targets, and the last one is whether to list each target, if there are too many; else None.
+    The first and the last value are None if all targets are listed.
     """
     class_of, names = classes_of(request)
     if request.joint.objective != "finished":
@@ -142,7 +142,7 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
     end = now() + FOR_PRICES * min(request.joint.seconds, 1e9)
     found, listed = exposures.finish(plans, shares, request.seed, end)
     starts, n = [found], len(names)
-    weights = (1e4 ** (np.arange(n - 1, -1, -1.0) / max(n - 1, 1)))[np.minimum(class_of[exposures.slots], n - 1)]
+    weights = class_weights(n)[np.minimum(class_of[exposures.slots], n - 1)]
     first = exposures.relax(weights, end, shares)[1]
     if (first < 2).any():
         found, further = exposures.finish(plans, shares, request.seed, end, first)

@@ -108,8 +108,7 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
     goals = np.flatnonzero((network.rank_of_target < network.n_classes) & (network.visits > 0))
     if objective == "finished":
         numbers = network.visits[goals].astype(np.int64)
-        starts = np.concatenate([[0], np.cumsum(np.bincount(goals, minlength=n))])
-        return Steps(starts, numbers, np.ones(len(goals)), np.zeros(n), goals)
+        return Steps(starts_of(goals, n), numbers, np.ones(len(goals)), np.zeros(n), goals)
     values, slots = values_in(objective), network.slot[goals]
     names = np.full(len(goals), "") if "" in values else _categories(values, category, slots)
     before = (builder.wanted.astype(np.int64) - builder.left)[slots]
@@ -127,15 +126,20 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
         rows.append((goals[mine][k], numbers[step] - before[mine][k], worth[1 + step] - had[k]))
     target, number, value = (np.concatenate(column) for column in zip(*rows, strict=True))
     order = np.lexsort((number, target))
-    starts = np.concatenate([[0], np.cumsum(np.bincount(target, minlength=n))])
-    return Steps(starts, number[order].astype(np.int64), value[order], base, target[order])
+    return Steps(starts_of(target, n), number[order].astype(np.int64), value[order], base, target[order])
 
 
-def class_weights(network: Network) -> np.ndarray:
-    """Return the weight of the value of a target of each class: higher priorities take precedence."""
-    n = network.n_classes
-    ratio = min(float(len(network.slot)), STEEPEST ** (1.0 / max(n - 1, 1)))
-    return ratio ** np.arange(n - 1, -1, -1.0)
+def class_weights(n: int, most: float = np.inf) -> np.ndarray:
+    """Return the weight of the value of a target of each of n classes: higher priorities take precedence.
+
+    ``most`` is the largest ratio of the weights of a class and of the next one.
+    """
+    return min(most, STEEPEST ** (1.0 / max(n - 1, 1))) ** np.arange(n - 1, -1, -1.0)
+
+
+def starts_of(index: np.ndarray, n: int) -> np.ndarray:
+    """Return where the rows 0 to n begin in an array of row numbers after it is sorted."""
+    return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
 
 
 def worth_of(objective: str, visits: np.ndarray, category: np.ndarray | None) -> np.ndarray:

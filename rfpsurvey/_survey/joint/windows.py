@@ -20,6 +20,7 @@ from rfpsurvey._survey.cadences import NIGHT
 from rfpsurvey._survey.joint.network import Network, Patches, Paths
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
 from rfpsurvey._survey.joint.sequences import SequenceProgram, all_sequences
+from rfpsurvey._survey.joint.values import starts_of
 
 # Largest number of candidates, and of sequences, up to which one program contains all tiles.
 MOST_OF_ALL = 10_000
@@ -240,7 +241,7 @@ class WindowSearch(JointSearch):
         positioner, target = network.pairs
         tile = np.repeat(self._time_of, np.diff(network.first))[positioner]
         places = np.unique(target.astype(np.int64) * n_tiles + tile)
-        dates = self._dates._replace(p_indptr=_starts(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
+        dates = self._dates._replace(p_indptr=starts_of(places // n_tiles, len(network.slot)), p_tile=places % n_tiles)
         work, picked = _work_for(dates)
         by_class, cost = np.zeros(network.n_classes + 1), np.zeros(len(places))
         for t in np.flatnonzero(np.diff(dates.p_indptr)).tolist():
@@ -327,7 +328,7 @@ def dates_of(
     cliques = network.matrix[: network.n_cliques]
     first_epoch = np.cumsum([0, *(epochs_of_cadence.shape[1] for epochs_of_cadence in epochs)])
     of_epochs = first_epoch, low, high, n_exp.astype(np.int64), limit
-    of_places = _starts(places // n_tiles, n_targets), places % n_tiles, _starts(place, len(places)), real[order]
+    of_places = starts_of(places // n_tiles, n_targets), places % n_tiles, starts_of(place, len(places)), real[order]
     of_cliques = cliques.indptr.astype(np.int64), cliques.indices.astype(np.int64)
     of_network = network.usable, network.start[1:] - 1, network.rank_of_target.astype(np.int64)
     of_tiles = days[in_time], brightness[in_time], night
@@ -335,11 +336,6 @@ def dates_of(
     past = np.zeros((2, n_targets), dtype=np.int64), np.full((2, n_targets), np.nan)
     dates = kernels.Dates(cadence, *of_epochs, *of_places, *of_cliques, *of_network, *of_tiles, *past[0], *past[1])
     return dates, place_of, time_of
-
-
-def _starts(index: np.ndarray, n: int) -> np.ndarray:
-    """Return where the rows 0 to n begin in a sorted array of row numbers."""
-    return np.concatenate([[0], np.cumsum(np.bincount(index, minlength=n))])
 
 
 def _work_for(dates: kernels.Dates) -> tuple[kernels.Work, np.ndarray]:

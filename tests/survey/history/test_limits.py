@@ -41,7 +41,7 @@ def place_in(center, positioner: int):
 
 
 class Naive:
-    """What a reader of the recorded tables knows: the tiles that were observed, and the wishes of each added target."""
+    """What a reader of the recorded tables knows: the tiles that were observed, and the limits of each added target."""
 
     def __init__(self, tiles):
         self.day = dict(zip(tiles["tile"].tolist(), tiles["mjd"].tolist(), strict=True))
@@ -70,7 +70,7 @@ class Naive:
 
 
 def check(survey, naive, top=None) -> int:
-    """Compare a plan with the wishes; return the number of planned visits of targets of opportunity."""
+    """Compare a plan with the limits; return the number of planned visits of targets of opportunity."""
     assert len(rs.survey.verify_survey(survey.folder)) == 0
     n_planned = 0
     for tile in (tile for tile in naive.day if tile not in naive.closed):
