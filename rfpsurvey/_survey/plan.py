@@ -28,6 +28,7 @@ from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences
+from rfpsurvey._survey.joint.shares import check_categories
 from rfpsurvey._survey.plan_file import write_call
 from rfpsurvey._survey.request import ORDERS, Request, make_request
 from rfpsurvey._survey.run import run
@@ -252,6 +253,7 @@ def prepare_request(
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
     elif joint is not None and joint.objective != "visits":
+        check_categories(joint, source.by_slot("category"))
         for name in ["early"] * joint.early + ["subpriority"] * (asked.subpriority is not None):
             warn_no_effect(name, f"with the objective {joint.objective!r}")
     if is_table(tiles):

@@ -100,3 +100,12 @@ def test_wrong_shares_are_refused():
         )
         with pytest.raises(rs.errors.InputError, match=text):
             rs.plan_survey(given, instrument, tiles, allocator=joint)
+
+
+def test_a_catalog_without_categories_is_refused_before_anything_is_written(tmp_path):
+    instrument, tiles, catalog, options = with_categories(3)
+    plain, folder = replace(catalog, category=None), tmp_path / "s"
+    joint = rs.JointOptions(objective="finished", share="category", allocator=options)
+    given = {"allocator": joint, "folder": folder}
+    refused("share requires a catalog with categories", rs.plan_survey, plain, instrument, tiles, **given)
+    assert not folder.exists()

@@ -38,6 +38,16 @@ def weights_in(text: str) -> dict[str, float]:
     return weights
 
 
+def check_categories(joint, category: np.ndarray | None) -> None:
+    """Raise an error if options of a joint plan need categories, and there are none."""
+    for name, is_given in {
+        "share requires": joint.share,
+        "values of categories require": ":" in joint.objective,
+    }.items():
+        if is_given and category is None:
+            raise InputError(f"{name} a catalog with categories, got a catalog without the column category")
+
+
 @dataclass(frozen=True, eq=False)
 class Shares:
     """The category of each target, and the number of targets and the weight of each category."""
@@ -49,14 +59,12 @@ class Shares:
     before: np.ndarray  # number of targets that were finished before, which are not in the network
 
     @classmethod
-    def of(cls, text: str, category: np.ndarray | None, counted: np.ndarray, is_finished: np.ndarray) -> "Shares":
+    def of(cls, text: str, category: np.ndarray, counted: np.ndarray, is_finished: np.ndarray) -> "Shares":
         """Return the shares of the targets that are ``counted``; all arrays are in the order of slots.
 
         ``is_finished`` is whether all visits of each target were made before.
         """
         weights = weights_in(text)
-        if category is None:
-            raise InputError("share requires a catalog with categories, got a catalog without the column category")
         names, group = np.unique(np.append(category[counted], category[is_finished]), return_inverse=True)
         group, n = group.reshape(-1), int(counted.sum())
         if unknown := sorted({*weights} - {*names.tolist()}):

@@ -158,10 +158,8 @@ def _worth(table: dict[int, float]) -> np.ndarray:
     return np.append(0.0, [table[number] for number in sorted(table)])
 
 
-def _categories(values: dict, category: np.ndarray | None, slots: np.ndarray) -> np.ndarray:
+def _categories(values: dict, category: np.ndarray, slots: np.ndarray) -> np.ndarray:
     """Return the category of each slot; raise an error if the values are not those of categories of the catalog."""
-    if category is None:
-        raise InputError("values of categories require a catalog with categories, got a catalog without category")
     names = category[slots]
     if not {*names.tolist()} <= {*values} <= {*category.tolist()}:
         raise InputError(
