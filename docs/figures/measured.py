@@ -11,7 +11,8 @@ import numpy as np
 import trade_offs
 
 import rfpsurvey as rs
-from rfpsurvey._sky.observed_field import MODELS, field_of_model
+from rfpsurvey._sky.conditions import MODELS
+from rfpsurvey._sky.models import field_of_model
 
 CENTER = "10h00m00s +30d00m00s"
 EFFORTS = {"overlap_ratio": [0], "close_pair": [0], "closed_form": [0], "quadrature": [4, 16, 64]}
@@ -73,13 +74,12 @@ def projections(instrument):
     targets = rs.synthetic_catalog("uniform", center, 0.98 * radius, n_targets=N_TARGETS, rng=1)
     kinds = np.resize(instrument.focal_plane.fiber_types, N_TARGETS)
     vectors = targets.coord.cartesian.xyz.value.T.copy()
-    scale, found = instrument.plate_scale.to_value(u.mm / u.rad), {}
+    found = {}
     for model, error in zip(MODELS, errors, strict=True):
         times = []
         for _ in range(5):
             begin = perf_counter()
-            known = (plane.plain.basis, scale, instrument.distortion, conditions, radius.to_value("rad"))
-            field_of_model(model, *known).project(vectors, kinds)
+            field_of_model(model, plane.plain.basis, instrument.optics, conditions).project(vectors, kinds)
             times.append(perf_counter() - begin)
         found[model] = [(min(times), error)]
     return found, 0.1

@@ -54,8 +54,8 @@ class PlanKeys:
     ----------
     projection : str, optional
         Model of the projection onto the focal plane: tangent, radial, refraction, dispersion, full, or auto, which
-        selects the fastest model that is accurate enough. The default is full if observing conditions are given, and
-        radial otherwise.
+        selects the fastest model that is accurate enough. The default is conditions.projection if observing conditions
+        are given, and radial otherwise.
     """
 
     catalog: key_groups.CatalogKeys

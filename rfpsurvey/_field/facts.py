@@ -16,7 +16,7 @@ from rfpsurvey._instruments.arms import Arms
 from rfpsurvey._instruments.as_built import impossible_sentence
 from rfpsurvey._instruments.collision_methods import Configuration, near_pairs
 from rfpsurvey._instruments.instrument import Instrument
-from rfpsurvey._sky.observed_field import MODELS
+from rfpsurvey._sky.conditions import MODELS
 from rfpsurvey.errors import listed, number_of
 
 KINDS = {"science": "to science targets", "standard": "to standard stars", "sky": "to sky"}
@@ -280,7 +280,7 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     posed : Arms, optional
         The arms of the tile. If None, the text describes all tiles of a survey.
     projection : str, optional
-        Model of the projection, a key of ``rfpsurvey.observing.MODELS``.
+        Model of the projection, or ``auto`` if tiles have different models.
 
     Returns
     -------
@@ -309,6 +309,8 @@ def model_sentence(instrument: Instrument, posed: Arms | None = None, projection
     else:
         each = ", one for each fiber type" if isinstance(instrument.distortion, dict) else ""
         positions = f"a tangent plane with the instrument's radial map{each}"
-    refraction = "without refraction" if projection in ("tangent", "radial") else f"with {MODELS[projection]}"
+    several = "refraction by the fastest model that is accurate enough for each tile"
+    model = several if projection == "auto" else MODELS[projection]
+    refraction = "without refraction" if projection in ("tangent", "radial") else f"with {model}"
     margins = f" Margins: {plane.margins.description}." if plane.margins else ""
     return f"{collisions}. Positions: {positions}, {refraction}.{margins}{impossible_sentence(instrument)}"

@@ -86,11 +86,12 @@ def plan_tile(
         circles that no arm may cover; or only the allocator. See `AllocationOptions`.
     conditions : ObservingConditions, optional
         Site, time or hour angle, wavelengths and weather, from which refraction is computed. The entry ``projection``
-        of the summary then states which model of the projection is accurate enough, and the displacements of targets
+        of the summary then states which model of the projection is used, its largest error and those of the others
         that each simpler model neglects.
     projection : {"tangent", "radial", "refraction", "dispersion", "full", "auto"}, optional
         Model of the projection, as in `~rfpsurvey.instrument.compare_projections`; ``auto`` is the fastest model that
-        is accurate enough. By default, the model is ``full`` if conditions are given, and ``radial`` otherwise.
+        is accurate enough. By default, the model of the conditions (usually ``auto``) or, without conditions,
+        ``radial``.
     progress : bool or callable, optional
         Show the progress of the search by the allocator ``network_flow`` or ``optimal`` on the standard error, or call
         a function with two numbers: the finished fraction of the search, and 1.

@@ -1,6 +1,6 @@
 """Comparison of models of the projection of an instrument, to find the cheapest model that is accurate enough."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import astropy.units as u
@@ -9,16 +9,14 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 
 from rfpsurvey._common.units import to_center, to_scalar, to_unit
-from rfpsurvey._instruments.entries import value_of
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._instruments.instrument import Instrument, as_instrument
-from rfpsurvey._sky.conditions import ObservingConditions, as_hour_angle, check_conditions
-from rfpsurvey._sky.observed_field import MODELS, ObservedField, displacements, field_of_model, model_of
+from rfpsurvey._sky.conditions import MODELS, ObservingConditions, as_hour_angle, check_conditions
+from rfpsurvey._sky.models import check_model, choose_model, displacements, field_of_model, not_included
+from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.projection import FieldProjection, TangentPlane
 from rfpsurvey.errors import InputError, check_keywords, listed
 
-# Default tolerance, as a fraction of the fiber diameter.
-FRACTION = 0.1
 # Numbers of points for which displacements are computed: centers of positioners, and points at the edge of the field.
 N_CENTERS, N_EDGE = 240, 90
 # Factor by which points without an image on the sky are moved toward the field center until they have one.
@@ -173,41 +171,35 @@ def compare_projections(
 def choose_projection(
     instrument: Instrument, plane: TangentPlane, conditions: ObservingConditions | None, model: str | None
 ) -> tuple[FieldProjection | ObservedField, dict]:
-    """Return the projection of a field by a model, and a record of the displacements that each model neglects.
+    """Return the projection of a field by a model, and a record of the errors of each model.
 
-    The model ``auto`` is the cheapest model that is accurate enough.
+    By default, the model is that of the conditions; ``auto`` is the fastest model that is accurate enough.
     """
     check_conditions(conditions, optional=True)
-    compared = None if conditions is None else _compare(instrument, plane, [conditions])
-    if isinstance(model, str) and model == "auto":
-        model = "radial" if compared is None else compared.sufficient
-        if model is None:
-            raise InputError(
-                "the projection 'auto' must have a tolerance, but the diameter of the instrument's fibers is unknown; "
-                "set the parameter tolerance of the conditions"
-            )
-    model = model_of(model, conditions)
-    record = {"model": model, **({} if compared is None else compared.record)}
-    return field_of_model(model, *_field(instrument, plane, conditions)), record
-
-
-def _field(instrument, plane, conditions):
-    """Return all arguments of `field_of_model` except the name of the model."""
-    focal_length, radius = plane.plate_scale.to_value(u.mm / u.rad), instrument.field_radius.to_value(u.rad)
-    return plane.plain.basis, focal_length, instrument.distortion, conditions, radius
+    check_model(model, conditions)
+    if conditions is None:
+        model = "radial" if model in (None, "auto") else model
+        return field_of_model(model, plane.plain.basis, instrument.optics), {"model": model}
+    conditions = conditions if model is None else replace(conditions, projection=model)
+    instrument.light.warn_outside_band(conditions)
+    choice = choose_model(instrument.optics, plane.plain.basis, conditions)
+    field = field_of_model(choice.model, plane.plain.basis, instrument.optics, conditions)
+    return field, {"model": choice.model, **choice.record}
 
 
 def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     """Compare the models of the projection for one or several observing conditions."""
     if tolerance is None:
         tolerance = cases[0].tolerance
-    entry = instrument.values.get("optics.fiber_diameter")
-    if tolerance is None and entry is not None:
-        tolerance = FRACTION * value_of(entry)
-    by_type = isinstance(instrument.distortion, dict) or isinstance(cases[0].wavelength, dict)
+    if tolerance is None and instrument.optics.tolerance is not None:
+        tolerance = instrument.optics.tolerance * u.mm
+    light = instrument.light.observed(cases[0])
+    by_type = isinstance(instrument.distortion, dict) or (isinstance(light.fibers, dict) and not light.compensated)
     kinds = instrument.focal_plane.fiber_types if by_type else [None]
     points, n_spread = _points(instrument, plane.plain, kinds)
-    moved, drift = zip(*(displacements(points, kinds, *_field(instrument, plane, case)) for case in cases), strict=True)
+    moved, drift = zip(
+        *(displacements(points, kinds, plane.plain.basis, instrument.optics, case) for case in cases), strict=True
+    )
     moved = {name: np.concatenate([displacement[name] for displacement in moved]) * u.mm for name in MODELS}
     # models without the neglected effect differ from the model ``full`` only by rounding errors, which become 0
     moved = {name: np.where(values <= ROUNDING, 0 * u.mm, values) for name, values in moved.items()}
@@ -226,7 +218,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     )
     for name in ("median", "p95", "max", "max_on_sky"):
         table[name].info.format = ".3g"
-    return ProjectionComparison(table, tolerance, drift, cases[0].not_included)
+    return ProjectionComparison(table, tolerance, drift, not_included(instrument.light, cases[0]))
 
 
 def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int]:

@@ -1,21 +1,18 @@
 """Read descriptions of instruments: TOML files in which every value has a status and a source.
 
-Methods of `Instrument` return the projections, margins, joint motion, rules and cameras of a description.
+Methods of `Instrument` return the margins, joint motion, rules and cameras of a description.
 """
 
 from dataclasses import replace
-from functools import cached_property
 from importlib.resources import files
 from pathlib import Path
 from typing import Self
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
 
 from rfpsurvey._common.read_documents import read_toml
 from rfpsurvey._common.read_tables import read_table
-from rfpsurvey._common.units import to_scalar
 from rfpsurvey._instruments.entries import (
     CAMERAS,
     check_description,
@@ -41,20 +38,17 @@ from rfpsurvey._instruments.margins import Margins
 from rfpsurvey._instruments.modules import cell_centers, hexagonal_cells
 from rfpsurvey._instruments.pfs_files import cobra_ids
 from rfpsurvey._instruments.positioner import Positioner
-from rfpsurvey._sky.conditions import ObservingConditions
-from rfpsurvey._sky.observed_field import ObservedField
-from rfpsurvey._sky.observed_plane import ObservedPlane
-from rfpsurvey._sky.projection import FieldProjection, TangentPlane, field_basis
+from rfpsurvey._instruments.projections import LIGHT, Projections
 from rfpsurvey._sky.radial_map import RadialMap
 from rfpsurvey.errors import InputError, check_choice, short
 
 MARGINS, MOTION, RULES = "margins.", "motion.", f"{RULES_SECTION}."
-OPTIONAL = (MARGINS, MOTION, RULES)
-"""Beginnings of the names of entries on which a result depends only if margins, paths or rules are used."""
+OPTIONAL = (MARGINS, MOTION, RULES, LIGHT)
+"""Beginnings of the names of entries on which only results with margins, paths, rules or conditions depend."""
 
 
-class Described:
-    """The members that `Instrument` inherits: its projections, margins, joint motion, rules and cameras."""
+class Described(Projections):
+    """The members that `Instrument` inherits: its margins, joint motion, rules and cameras, and its projections."""
 
     @property
     def published_margins(self) -> Margins:
@@ -160,73 +154,6 @@ class Described:
         check_choice(name, known, f"name of rules of {self.name}")
         values = [entry["value"] for entry in select_entries(self.values, f"{RULES}{name}.").values()]
         return tuple(text for value in values for text in ([value] if isinstance(value, str) else value))
-
-    def projection(
-        self,
-        center: SkyCoord,
-        position_angle: u.Quantity = 0 * u.deg,
-        conditions: ObservingConditions | None = None,
-    ) -> TangentPlane:
-        """Return the projection of a field onto the focal plane.
-
-        Parameters
-        ----------
-        center : SkyCoord
-            Field center.
-        position_angle : Quantity, optional
-            Position angle of the +y axis of the focal plane, from north toward east.
-        conditions : ObservingConditions, optional
-            Observing conditions. If None, refraction and dispersion are neglected.
-
-        Returns
-        -------
-        TangentPlane
-            The projection; with conditions, an `~rfpsurvey.observing.ObservedPlane`.
-
-        Raises
-        ------
-        InputError
-            If the center is not one direction, if the position angle is not one angle, or if the field is not above the
-            horizon.
-        """
-        to_scalar(position_angle, u.deg, "position_angle", low=-3600, high=3600)
-        if conditions is None:
-            return TangentPlane(center, self.plate_scale, position_angle, self.distortion)
-        return ObservedPlane(center, self.plate_scale, position_angle, self.distortion, conditions, self.field_radius)
-
-    def field_projection(
-        self, ra: float, dec: float, angle: float, conditions: ObservingConditions | None = None
-    ) -> FieldProjection | ObservedField:
-        """Return the projection of a field for arrays without units.
-
-        Parameters
-        ----------
-        ra, dec : float
-            Right ascension and declination (ICRS) of the field center, in radians.
-        angle : float
-            Position angle of the +y axis of the focal plane, from ICRS north toward east, in radians.
-        conditions : ObservingConditions, optional
-            Observing conditions. If None, refraction and dispersion are neglected.
-
-        Returns
-        -------
-        FieldProjection or ObservedField
-            The projection; it equals ``projection(...).plain`` and is computed faster.
-
-        Raises
-        ------
-        InputError
-            If the field is not above the horizon.
-        """
-        basis = field_basis(ra, dec, angle)
-        if conditions is None:
-            return FieldProjection(basis, self._focal_length, self.distortion)
-        return ObservedField(basis, self._focal_length, self.distortion, conditions, self.field_radius.to_value(u.rad))
-
-    @cached_property
-    def _focal_length(self) -> float:
-        """Focal length in mm."""
-        return self.plate_scale.to_value(u.mm / u.rad)
 
 
 PRESETS = Path(str(files("rfpsurvey"))) / "presets"

@@ -180,6 +180,13 @@ SECTION_ENTRIES = {
         ),
     },
     "observing": {"targets_per_fiber": POSITIVE_NUMBER},
+    "light": {
+        "band": Kind("two wavelengths, or two for each fiber type", _either(_is_range, _table(_is_range)), u.um),
+        "wavelength": Kind("a wavelength, or one for each fiber type", _either(IS_LENGTH, _table(IS_LENGTH)), u.um),
+        "guide_wavelength": Kind("a wavelength above 0", IS_LENGTH, u.um),
+        "dispersion_compensator": _choice("yes", "no", "unknown"),
+        "guider_removes": Kind("a list of names", _list(_is_text, 1)),
+    },
 }
 ENTRIES = {f"{section}.{name}": kind for section, kinds in SECTION_ENTRIES.items() for name, kind in kinds.items()}
 OBSERVING = _count(0, 1_000_000)

@@ -4,6 +4,7 @@ import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cached_property
+from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -63,12 +64,23 @@ WAVELENGTHS = {"above": 0.1, "below": 100}
 RECORDED = (
     *("longitude_deg", "latitude_deg", "height_m", "guide_wavelength_um", "pressure_hpa", "temperature_c", "humidity"),
     *("exposure_time_s", "hour_angle_deg", "tolerance_mm", "time", "wavelength_um"),
+    *("date", "scale", "compensator", "projection"),
 )
 """Names in records, in their order; a site has the first three."""
-EXACT = ("time", "wavelength_um")
+EXACT = ("time", "wavelength_um", "date", "compensator", "projection")
 """Names of values in records that are not rounded."""
-OPTIONAL = ("hour_angle_deg", "tolerance_mm", "time")
+OPTIONAL = ("guide_wavelength_um", "hour_angle_deg", "tolerance_mm", *RECORDED[10:])
 """Names of values that records can lack."""
+FORMER = {"scale": 1.0, "compensator": "none", "projection": "full"}
+"""Values that records omit, because records of version 0.3 do not contain them."""
+COMPENSATORS = ("instrument", "none", "ideal")
+MODELS = {
+    "tangent": "tangent plane with one plate scale",
+    "radial": "radial map of the instrument",
+    "refraction": "refraction at the midpoint of the exposure, at the guide wavelength",
+    "dispersion": "refraction at the midpoint of the exposure, at the wavelength of each fiber type",
+    "full": "refraction averaged over the exposure, at the wavelength of each fiber type",
+}
 EXAMPLES = {
     "humidity": "30 %",
     "hour_angle": "-1.5 hourangle",
@@ -104,6 +116,25 @@ def _celsius(value: object) -> u.Quantity:
         raise InputTypeError(f"temperature must have a unit of temperature, got {short(value)}") from None
 
 
+class Numbers(NamedTuple):
+    """Numbers of observing conditions without units."""
+
+    weather: tuple[float, float, float]  # hPa, deg C, relative humidity
+    place: tuple[float, float, float]  # longitude and latitude (rad), height (m)
+    hour_angle: float | None  # rad
+    half_exposure: float  # s
+    tolerance: float | None  # mm
+    wavelength: dict[str, float] | float | None
+    guide_wavelength: float | None
+
+
+def in_micrometers(wavelength: u.Quantity | dict[str, u.Quantity] | None) -> dict[str, float] | float | None:
+    """Return a wavelength, or a dict of wavelengths, as numbers in micrometers."""
+    if isinstance(wavelength, dict):
+        return {name: in_micrometers(wave) for name, wave in wavelength.items()}
+    return None if wavelength is None else float(wavelength.to_value(u.um))
+
+
 @check_keywords
 @dataclass(frozen=True, eq=False, repr=False)
 class ObservingConditions(Settings):
@@ -122,13 +153,20 @@ class ObservingConditions(Settings):
     hour_angle : Quantity, optional
         Hour angle of the field center at the midpoint of the exposure, positive west of the meridian, as an angle or as
         hours of time. Exactly one of ``time`` and ``hour_angle`` must be given. With an hour angle, catalog positions
-        are treated as apparent places, and differential aberration is not included.
+        are treated as apparent places, except that ``date`` adds the aberration of light.
+    date : Time, datetime, date or str, optional
+        Date of the observation, for conditions with an hour angle; any date is accepted. The aberration of light on
+        this date changes the scale of a field by up to 0.0001.
     wavelength : Quantity or dict of str to Quantity, optional
         Wavelength in vacuum for which the positions of fibers are computed, or a dict with one wavelength for each
-        fiber type. By default, all fibers are assumed to observe at 0.54 um; presets contain no wavelengths.
+        fiber type. By default, the wavelengths in the description of the instrument (`~rfpsurvey.observing.Light`);
+        if there are none, 0.54 um is assumed.
     guide_wavelength : Quantity, optional
-        Wavelength at which the telescope follows the field. By default, ``wavelength`` or, if it is a dict, the
-        wavelength of the first fiber type in the dict.
+        Wavelength at which the telescope follows the field. By default, the wavelength of the guider in the description
+        of the instrument or, if there is none, the wavelength of the (first) fiber type.
+    compensator : {"instrument", "none", "ideal"}, optional
+        Whether a compensator removes atmospheric dispersion: as the description of the instrument states, in no case,
+        or in any case.
     pressure : Quantity, optional
         Pressure at the site; 0 means no refraction. By default, the pressure of the standard atmosphere at the height
         of the site.
@@ -141,6 +179,12 @@ class ObservingConditions(Settings):
     tolerance : Quantity, optional
         Largest negligible position error on the focal plane. A model of the projection is accurate enough if its
         position errors do not exceed this tolerance. By default, a tenth of the diameter of the instrument's fibers.
+    scale : float, optional
+        Factor by which all distances from the center of the focal plane are multiplied, such as the result of a fit to
+        guide stars, or a factor for the temperature.
+    projection : {"auto", "tangent", "radial", "refraction", "dispersion", "full"}, optional
+        Model of the projection, as in `~rfpsurvey.instrument.compare_projections`; ``auto`` is the fastest model that
+        is accurate enough.
 
     Raises
     ------
@@ -167,8 +211,10 @@ class ObservingConditions(Settings):
     hour_angle: u.Quantity[u.hourangle] | None = option(
         None, convert=as_hour_angle, above=-24, below=24, record="hour_angle_deg", unit=u.deg, sparse=True
     )
-    wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] = option(0.54 * u.um, **WAVELENGTHS)
-    guide_wavelength: u.Quantity[u.um] | None = option(None, **WAVELENGTHS)
+    date: Time | None = option(None, convert=_in_known_scale, to_record=lambda time: time.utc.isot, sparse=True)
+    wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] | None = option(None, sparse=True, **WAVELENGTHS)
+    guide_wavelength: u.Quantity[u.um] | None = option(None, sparse=True, **WAVELENGTHS)
+    compensator: str = option("instrument", choices=COMPENSATORS)
     pressure: u.Quantity[u.hPa] | None = option(None, low=0, below=1200)
     temperature: u.Quantity[u.deg_C] = option(
         10 * u.deg_C, convert=_celsius, above=-150, below=200, record="temperature_c"
@@ -176,6 +222,8 @@ class ObservingConditions(Settings):
     humidity: float = option(0.2, low=0, high=1)
     exposure_time: u.Quantity[u.s] = option(0 * u.s, low=0, below=LONGEST_S)
     tolerance: u.Quantity[u.mm] | None = option(None, above=0, sparse=True)
+    scale: float = option(1.0, low=0.9, high=1.1)
+    projection: str = option("auto", choices=("auto", *MODELS))
 
     def _check(self):
         if (self.time is None) == (self.hour_angle is None):
@@ -184,9 +232,8 @@ class ObservingConditions(Settings):
         waves = self.wavelength
         if isinstance(waves, dict) and not (waves and all(isinstance(name, str) for name in waves)):
             raise InputError(f"wavelength must have one value, or one for each fiber type, got {short(waves)}")
-        if self.guide_wavelength is None:
-            first = next(iter(waves.values())) if isinstance(waves, dict) else waves
-            object.__setattr__(self, "guide_wavelength", first)
+        if self.date is not None and self.time is not None:
+            raise InputError("conditions with a time must have no date, which belongs to an hour_angle, got both")
         if self.pressure is None:
             height = np.clip(self.site.height.to_value(u.m), -500, 9000)
             object.__setattr__(self, "pressure", 1013.25 * (1 - 2.25577e-5 * height) ** 5.25588 * u.hPa)
@@ -225,10 +272,24 @@ class ObservingConditions(Settings):
         except InputError as error:
             raise type(error)(f"{path}: {error}") from None
 
+    @cached_property
+    def numbers(self) -> "Numbers":
+        """The conditions as numbers without units; they are converted once."""
+        site, (angle, limit) = self.site.geodetic, (self.hour_angle, self.tolerance)
+        return Numbers(
+            (float(self.pressure.to_value(u.hPa)), float(self.temperature.to_value(u.deg_C)), float(self.humidity)),
+            (site.lon.to_value(u.rad), site.lat.to_value(u.rad), site.height.to_value(u.m)),
+            None if angle is None else float(angle.to_value(u.rad)),
+            float(self.exposure_time.to_value(u.s)) / 2,
+            None if limit is None else float(limit.to_value(u.mm)),
+            in_micrometers(self.wavelength),
+            in_micrometers(self.guide_wavelength),
+        )
+
     @property
     def at_guide_wavelength(self) -> "ObservingConditions":
-        """The conditions with the guide wavelength for all fibers, so that there is no dispersion."""
-        return replace(self, wavelength=self.guide_wavelength)
+        """The conditions with an ideal compensator: all fibers have the positions at the guide wavelength."""
+        return replace(self, compensator="ideal")
 
     @property
     def without_exposure(self) -> "ObservingConditions":
@@ -259,35 +320,15 @@ class ObservingConditions(Settings):
         Parameters
         ----------
         hour_angle : Quantity
-            Hour angle of the field center, which replaces the time or hour angle of these conditions.
+            Hour angle of the field center, which replaces the time or hour angle of these conditions; a time becomes
+            the date.
 
         Returns
         -------
         ObservingConditions
             The conditions at this hour angle.
         """
-        return replace(self, time=None, hour_angle=hour_angle)
-
-    @cached_property
-    def wavelengths_um(self) -> dict[str, float] | float:
-        """Wavelength of the fibers in micrometers, or a dict with one wavelength for each fiber type."""
-        if isinstance(self.wavelength, dict):
-            return {name: float(wave.to_value(u.um)) for name, wave in self.wavelength.items()}
-        return float(self.wavelength.to_value(u.um))
-
-    @property
-    def not_included(self) -> tuple[str, ...]:
-        """Effects on the positions of fibers that these conditions do not include, each with the reason in parentheses.
-
-        Differential aberration changes the scale of a field by up to 0.0001.
-        """
-        waves = self.wavelength.values() if isinstance(self.wavelength, dict) else [self.wavelength]
-        same_wavelength = all(wave == self.guide_wavelength for wave in waves)
-        dispersion = (
-            f"dispersion (all fibers and the guide camera are assumed to observe at {self.guide_wavelength.to(u.um):g})"
-        )
-        aberration = "differential aberration (the conditions have an hour angle instead of a time)"
-        return (dispersion,) * same_wavelength + (aberration,) * (self.time is None)
+        return replace(self, time=None, date=self.date if self.time is None else self.time, hour_angle=hour_angle)
 
     @property
     def record(self) -> dict:
@@ -298,7 +339,7 @@ class ObservingConditions(Settings):
             "height_m": self.site.height.to_value(u.m),
             **super().record,
         }
-        entries = {name: numbers[name] for name in RECORDED if name in numbers}
+        entries = {name: numbers[name] for name in RECORDED if name in numbers and numbers[name] != FORMER.get(name)}
         return {name: value if name in EXACT else round(float(value), 9) for name, value in entries.items()}
 
     def _values(self):
@@ -331,7 +372,7 @@ class ObservingConditions(Settings):
             _ = [record[name] for name in RECORDED if name not in OPTIONAL]
         except (KeyError, TypeError) as error:
             raise InputError(f"record must describe observing conditions, got {short(record)}: {error}") from None
-        return super().from_record(record, **{"site": site, **others})
+        return super().from_record(FORMER | record, **{"site": site, **others})
 
     def __repr__(self):
         when = f"hour angle {self.hour_angle.to(u.hourangle):.4g}" if self.time is None else self.time.utc.iso
@@ -351,7 +392,7 @@ def _from_text(name: str, value: object, path: object) -> object:
     check_choice(name, [field.name for field in fields(ObservingConditions)], f"key of {path}")
     if name == "site" and isinstance(value, list):
         return location(value, f"{path}: site")
-    if name in ("site", "time") or (name == "humidity" and not isinstance(value, str)):
+    if name not in EXAMPLES or (name == "humidity" and not isinstance(value, str)):
         return value
     with refusing(f"{path}: {name} must be text such as {EXAMPLES[name]!r}", value, object):
         if isinstance(value, dict):

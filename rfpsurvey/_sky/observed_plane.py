@@ -9,8 +9,9 @@ from astropy.coordinates import Angle, Latitude, Longitude
 
 from rfpsurvey._common.units import to_scalar
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
-from rfpsurvey._sky.observed_field import ObservedField
+from rfpsurvey._sky.observed_field import NO_LIGHT, ObservedField
 from rfpsurvey._sky.projection import TangentPlane
+from rfpsurvey._sky.wavelengths import Light
 from rfpsurvey.errors import check_keywords
 
 # MOST_STEP: largest change (rad) of the parallactic angle in a step. SHORTEST: shortest step (s).
@@ -36,6 +37,8 @@ class ObservedPlane(TangentPlane):
         The observing conditions.
     field_radius : Quantity, optional
         Radius of the field; the whole field must be above the horizon.
+    light : Light, optional
+        Wavelengths that the instrument observes, which the conditions can replace.
 
     Raises
     ------
@@ -55,6 +58,7 @@ class ObservedPlane(TangentPlane):
 
     conditions: ObservingConditions | None = None
     field_radius: u.Quantity = 0 * u.deg
+    light: Light = NO_LIGHT
 
     def __post_init__(self):
         super().__post_init__()
@@ -66,9 +70,8 @@ class ObservedPlane(TangentPlane):
     def plain(self) -> ObservedField:
         """The projection for arrays without units (``ObservedField``)."""
         static = TangentPlane.plain.func(self)
-        return ObservedField(
-            static.basis, static.focal_length, self.distortion, self.conditions, self.field_radius.to_value(u.rad)
-        )
+        radius = self.field_radius.to_value(u.rad)
+        return ObservedField(static.basis, static.focal_length, self.distortion, self.conditions, radius, self.light)
 
     @property
     def altitude(self) -> Latitude:

@@ -75,6 +75,7 @@ TILES = table_of(
     Column("position_angle", "position angle of the +y axis, from north toward east", "deg"),
     Column("hour_angle", "hour angle of the field center at the midpoint of the exposure", "deg"),
     Column("time", "time of the tile (UTC)"),
+    Column("projection", "model of the projection of the tile"),
     Column("round", "round in which the tile is planned; tiles of one round do not share targets"),
     Column("state", "planned, done (observed), partly (partly observed), dropped or past (not observed in time)"),
     Column("date", "date of the last observation"),

@@ -223,7 +223,7 @@ class Request(FieldsOfTiles):
             "radius_deg": float(np.rad2deg(self.radius_rad)),
             **({} if self.cadences is None else {"cadences": self.cadences[0].record}),
             **({} if self.joint is None else {"joint": self.joint.record}),
-            **({} if self.conditions is None else {"conditions": self.tiling.table.meta["conditions"]}),
+            **self.observed,
         }
 
     @cached_property

@@ -48,6 +48,8 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     table = QTable(request.tiling.table[names if when is None else [*names, when]])
     if request.uses_dates:
         table["time"] = request.times
+    if request.projection == "auto":
+        table["projection"] = request.projections
     sizes = [len(tiles) for tiles in request.rounds]
     # the argsort of a permutation is its inverse, here from rows to places in the order of planning
     table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
@@ -128,7 +130,7 @@ def _summary(request, state, counts, outcome_counts, lacking, of_state) -> dict:
         **({} if state.windows is None else {"n_released": int(state.windows.released.sum())}),
         **({} if request.moved is None else {"epoch": request.moved}),
         **({} if request.state is None else request.state.summary),
-        "model": model_sentence(request.instrument, projection="radial" if request.conditions is None else "full"),
+        "model": model_sentence(request.instrument, projection=request.projection),
     }
 
 

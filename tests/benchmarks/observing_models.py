@@ -10,7 +10,8 @@ from astropy.coordinates import SkyCoord
 from measure import smallest
 
 import rfpsurvey as rs
-from rfpsurvey._sky.observed_field import MODELS, field_of_model
+from rfpsurvey._sky.conditions import MODELS
+from rfpsurvey._sky.models import field_of_model
 
 BOTH = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
 # Site, and wavelength of the fibers; compensators of MOONS, DESI and PFS remove the dispersion.
@@ -44,13 +45,11 @@ def seconds(name):
     coord = rs.synthetic_catalog("uniform", center, 0.98 * radius, n_targets=N_TARGETS, rng=1).coord
     vectors = coord.cartesian.xyz.value.T.copy()
     kinds = np.resize(instrument.focal_plane.fiber_types, N_TARGETS)
-    scale = instrument.plate_scale.to_value(u.mm / u.rad)
     found = {}
     for model in MODELS:
 
         def project(model=model):
-            given = plane.plain.basis, scale, instrument.distortion, conditions, radius.to_value("rad")
-            field_of_model(model, *given).project(vectors, kinds)
+            field_of_model(model, plane.plain.basis, instrument.optics, conditions).project(vectors, kinds)
 
         found[model] = smallest(project, REPEATS)
     return found

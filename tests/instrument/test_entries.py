@@ -26,6 +26,8 @@ pitch = { value = 12.0, unit = "mm", status = "assumed", source = "s" }
 plate_scale = { value = 60.0, unit = "um / arcsec", status = "assumed", source = "s" }
 [observing]
 targets_per_fiber = { value = 2.0, status = "assumed", source = "s" }
+[light]
+band = { value = [0.4, 1.0], unit = "um", status = "assumed", source = "s" }
 """
 
 

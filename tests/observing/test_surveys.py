@@ -42,7 +42,7 @@ def same_visits(one, other):
 
 def test_each_tile_has_the_conditions_of_its_row(sky, presets):
     survey = rs.plan_survey(sky, presets["moons"], tiling_with(hour_angle=HOURS), rng=3, visits=3)
-    assert "with refraction averaged" in survey.summary["model"]
+    assert "with refraction by the fastest model" in survey.summary["model"]
     assert survey.provenance["parameters"]["conditions"] == CONDITIONS.record
     for center, hour, part in zip(CENTERS, HOURS, survey.parts, strict=True):
         conditions = CONDITIONS.at_hour_angle(hour * u.hourangle)
@@ -177,7 +177,7 @@ def test_the_command_plans_a_survey_under_the_conditions_of_a_file(command, tmp_
     path = tmp_path / "night.toml"
     path.write_text('site = "paranal"\nhour_angle = "1 hourangle"\n')
     out, survey = command({}, "--set", f"conditions.path={path}", "--set", "conditions.wavelength=0.7")
-    assert "with refraction averaged" in out
+    assert "with refraction by the fastest model" in out
     record = survey.provenance["parameters"]["conditions"]
     assert (record["hour_angle_deg"], record["wavelength_um"]) == (pytest.approx(15), pytest.approx(0.7))
 
@@ -186,7 +186,7 @@ def test_the_command_plans_each_tile_at_its_hour_angle(command):
     out, survey = command(
         {"hour_angle": HOURS}, "--set", "conditions.site=paranal", "--set", "conditions.exposure_time=600"
     )
-    assert "with refraction averaged" in out
+    assert "with refraction by the fastest model" in out
     np.testing.assert_allclose(survey.tiles["hour_angle"].to_value(u.hourangle), HOURS, rtol=0, atol=1e-12)
     assert survey.provenance["parameters"]["conditions"]["exposure_time_s"] == 600
 

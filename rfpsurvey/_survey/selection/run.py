@@ -225,7 +225,6 @@ def realization_table(request, seeds: list[int], counts: np.ndarray) -> QTable:
     n_tiles = len(request.tiling) - len(request.dropped)
     summary = {"n_realizations": len(seeds), "n_tiles": n_tiles, "n_rounds": len(request.rounds)}
     summary |= {"n_fibers": n_fibers, **({} if request.moved is None else {"epoch": request.moved})}
-    projection = "radial" if request.conditions is None else "full"
-    summary["model"] = model_sentence(request.instrument, projection=projection)
+    summary["model"] = model_sentence(request.instrument, projection=request.projection)
     table.meta = {"summary": summary, "provenance": request.provenance}
     return describe(table, REALIZATIONS)

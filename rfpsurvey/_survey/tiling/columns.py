@@ -18,6 +18,7 @@ from rfpsurvey._field.plan import field_radius_rad
 from rfpsurvey._instruments.pfs_files import PFI_ANGLE
 from rfpsurvey._sky.columns import Finder
 from rfpsurvey._sky.conditions import ObservingConditions, as_hour_angle
+from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.survey_formats import check_mode
 from rfpsurvey._sky.time import any_year, to_moment
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, refusal, short, warn
@@ -274,6 +275,25 @@ class FieldsOfTiles:
         """Observing conditions of each tile; None if refraction is neglected."""
         return conditions_of_tiles(self.tiling)
 
+    @property
+    def projection(self) -> str:
+        """Model of the projection of all tiles; ``auto`` if each tile has the fastest model that is accurate enough."""
+        return "radial" if self.tiling.conditions is None else self.tiling.conditions.projection
+
+    @property
+    def observed(self) -> dict:
+        """The record of the observing conditions and of the wavelengths, which version 0.3 recorded as conditions."""
+        if (common := self.tiling.conditions) is None:
+            return {}
+        used = {} if common.compensator == "none" else {"wavelengths": self.instrument.light.observed(common).record}
+        return {"conditions": self.tiling.table.meta["conditions"], **used}
+
+    @property
+    def projections(self) -> list[str]:
+        """Model of the projection of each tile."""
+        choose, places = self.instrument.model_choice, np.deg2rad(self.places)
+        return [choose(place, obs).model for place, obs in zip(places, self.conditions, strict=True)]
+
     @cached_property
     def places(self) -> np.ndarray:
         """Right ascension, declination and position angle of each tile in degrees, shape (n, 3)."""
@@ -285,12 +305,14 @@ class FieldsOfTiles:
         if self.conditions is None:
             return field_radius_rad(self.instrument)
         fields = []
+        self.instrument.light.warn_outside_band(self.tiling.conditions)
         for name, place, obs in zip(self.tiling.table["tile"], np.deg2rad(self.places), self.conditions, strict=True):
             try:
                 fields.append(self.instrument.field_projection(*place, obs))
             except InputError as error:
                 raise InputError(f"tile {name}: {error}") from None
-        lowest = min(fields, key=lambda field: min(frame[2, 2] for frame in field.frames))
+        refracted = [field for field in fields if isinstance(field, ObservedField)]
+        lowest = min(refracted, key=lambda field: min(frame[2, 2] for frame in field.frames), default=None)
         return field_radius_rad(self.instrument, lowest) * MARGIN
 
     @cached_property

@@ -1,0 +1,223 @@
+"""Models of the projection of a field, and the choice of the fastest model that is accurate enough."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import astropy.units as u
+import numpy as np
+
+from rfpsurvey._kernels import refraction
+from rfpsurvey._sky.conditions import MODELS, ObservingConditions
+from rfpsurvey._sky.instants import coefficients, midpoint
+from rfpsurvey._sky.observed_field import FEWEST, NO_LIGHT, ObservedField, moments_of_exposure
+from rfpsurvey._sky.projection import FieldProjection
+from rfpsurvey._sky.radial_map import RadialMap
+from rfpsurvey._sky.wavelengths import Light
+from rfpsurvey.errors import InputError, check_choice
+
+STATIC = ("tangent", "radial")
+# Factor by which bounds of displacements are larger than their first-order values: the field is tested in 24
+# directions, and the terms of second order in refraction are below 1 % above LOWEST (rad), the lowest altitude for
+# which a model other than ``full`` is chosen. Near the horizon, the series does not converge.
+MARGIN, LOWEST = 1.03, np.deg2rad(10)
+# Largest speed of the Earth in units of the speed of light, and the direction of the pole of the ecliptic (J2000).
+SPEED, ECLIPTIC = 1.011e-4, np.array([0.0, -0.39777716, 0.91748206])
+LONG, MANY = 1800, 17  # s; half of an exposure above which more instants are used, and the number of these
+N_RADII = 200
+
+
+@dataclass(frozen=True, eq=False)
+class FieldOptics:
+    """Optics of an instrument without units.
+
+    Parameters
+    ----------
+    focal_length : float
+        Plate scale at the center, mm per radian, for a projection without a radial map.
+    distortion : RadialMap, dict of str to RadialMap, or None
+        Radial map, or a dict with one radial map for each fiber type.
+    radius : float, optional
+        Radius of the field (rad).
+    light : Light, optional
+        Wavelengths that the instrument observes.
+    tolerance : float, optional
+        Largest negligible position error (mm).
+    """
+
+    focal_length: float
+    distortion: object = None
+    radius: float = 0.0
+    light: Light = NO_LIGHT
+    tolerance: float | None = None
+
+    @cached_property
+    def profile(self) -> tuple[float, float, float]:
+        """Largest scale (mm/rad) in the field, radius of the field (mm), and error of a tangent plane (mm)."""
+        angles = np.linspace(0, self.radius, N_RADII + 1)[1:]
+        tangent, scale, edge, error = self.focal_length * np.tan(angles), 0.0, 0.0, 0.0
+        maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
+        for optics in maps:
+            radii = tangent
+            if isinstance(optics, RadialMap):
+                known = angles[angles < optics.max_angle.to_value(u.rad)]
+                radii = optics.to_radius(known * u.rad).to_value(u.mm)
+            steps = np.diff(radii, prepend=0.0) / angles[0]
+            scale = max(scale, steps.max(), (radii / angles[: len(radii)]).max())
+            edge, error = max(edge, radii[-1]), max(error, np.abs(radii - tangent[: len(radii)]).max())
+        return float(scale), float(edge), float(error)
+
+
+@dataclass(frozen=True, eq=False)
+class ModelChoice:
+    """A model of the projection for a field, with bounds of what the models neglect.
+
+    Parameters
+    ----------
+    model : str
+        Name of the model.
+    largest : dict of str to float
+        Bounds (mm) of the largest errors of all models.
+    drift : float
+        Largest distance (mm) between a target and its mean position during the exposure.
+    tolerance : float or None
+        Largest negligible position error (mm).
+    light : ObservedLight
+        Wavelengths of the observation.
+    aberration : float
+        Largest displacement (mm) by differential aberration, if it is not known and not removed; otherwise 0.
+    """
+
+    model: str
+    largest: dict[str, float]
+    drift: float
+    tolerance: float | None
+    light: object
+    aberration: float
+
+    def __str__(self):
+        """Return a sentence on the accuracy of the model, and on wavelengths."""
+        error, limit = self.largest[self.model], self.tolerance
+        text = f"positions are {f'within {error:.2g} mm of ' if error else ''}those of the model full"
+        if limit is not None:
+            text += f" (tolerance {limit:.3g} mm{', which is exceeded' if error > limit else ''})"
+        text += f"; {self.light}"
+        if self.drift:
+            text += f"; targets move by up to {self.drift:.2g} mm during the exposure"
+        if self.aberration:
+            size = "" if limit is None else f", {'more' if self.aberration > limit else 'less'} than the tolerance"
+            text += f"; unknown without a date: differential aberration, up to {self.aberration:.2g} mm{size}"
+        return text
+
+    @property
+    def record(self) -> dict:
+        """The choice as plain numbers and text, for the records of results."""
+        return {
+            "sufficient": self.sufficient,
+            "sentence": str(self),
+            "tolerance_mm": self.tolerance,
+            "drift_mm": round(self.drift, 6),
+            "largest_mm": {name: None if np.isinf(value) else round(value, 6) for name, value in self.largest.items()},
+            "wavelengths": self.light.record,
+            "unknown_aberration_mm": round(self.aberration, 6),
+        }
+
+    @property
+    def sufficient(self) -> str:
+        """The fastest model whose error is at most the tolerance; ``full`` if the tolerance is unknown."""
+        limit = 0.0 if self.tolerance is None else self.tolerance
+        return next(name for name, value in self.largest.items() if value <= limit)
+
+
+def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
+    """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`."""
+    light, (scale, edge, error) = optics.light.observed(conditions), optics.profile
+    half, seconds, weights = conditions.numbers.half_exposure, np.zeros(1), np.ones(1)
+    if half:
+        moments, weights, _ = moments_of_exposure(FEWEST if half <= LONG else MANY)
+        seconds = half * moments
+    sky = midpoint(conditions, float(np.arctan2(basis[2, 1], basis[2, 0])))
+    zenith = sky.zeniths(seconds) @ basis.T
+    parts = np.full(4, np.inf)
+    if zenith[:, 2].min() > np.sin(LOWEST + optics.radius):
+        distinct = light.distinct
+        waves = np.array([coefficients(*sky.weather, wave)[0] for wave in (distinct[0], distinct[-1])])
+        guide = coefficients(*sky.weather, light.guide)[0]
+        plane = np.ascontiguousarray(zenith[:, :2] / zenith[:, 2:])
+        refraction.displacements(plane, weights, len(seconds) // 2, np.tan(optics.radius), guide, waves, parts)
+    static, instant, mean, drift = MARGIN * scale * parts
+    static += abs(conditions.scale - 1) * edge + np.linalg.norm(sky.motion[0, :3]) * edge * MARGIN
+    largest = {
+        "tangent": static + error,
+        "radial": static,
+        "refraction": instant,
+        "dispersion": mean,
+        "full": 0.0,
+    }
+    aberration = SPEED * edge * np.sqrt(1 - (basis[2] @ ECLIPTIC) ** 2) * _lacks_aberration(optics.light, conditions)
+    given = conditions.numbers.tolerance
+    tolerance = optics.tolerance if given is None else given
+    numbers = {name: float(value) for name, value in largest.items()}
+    choice = ModelChoice(conditions.projection, numbers, float(drift), tolerance, light, float(aberration))
+    return choice if choice.model != "auto" else ModelChoice(choice.sufficient, *list(vars(choice).values())[1:])
+
+
+def _lacks_aberration(light: Light, conditions: ObservingConditions) -> bool:
+    return conditions.time is None and conditions.date is None and "scale" not in light.guider_removes
+
+
+def not_included(light: Light, conditions: ObservingConditions) -> tuple[str, ...]:
+    """Return the effects on positions that no model includes, each with the reason in parentheses."""
+    used = light.observed(conditions)
+    dispersion = f"dispersion (all fibers and the guide camera are assumed to observe at {used.guide:g} um)"
+    aberration = "differential aberration (the conditions have an hour angle and no date)"
+    return (dispersion,) * used.assumed + (aberration,) * _lacks_aberration(light, conditions)
+
+
+def check_model(model: str | None, conditions: ObservingConditions | None) -> None:
+    """Raise an error if a model is unknown, or must have conditions."""
+    if model not in (None, "auto"):
+        check_choice(model, MODELS, "projection")
+        if conditions is None and model not in STATIC:
+            raise InputError(f"the projection {model!r} must have conditions, got none; give the argument conditions")
+
+
+def field_of_model(
+    model: str, basis: np.ndarray, optics: FieldOptics, conditions: ObservingConditions | None = None
+) -> FieldProjection | ObservedField:
+    """Return the projection of a field by a model; ``basis`` is that of `ObservedField`."""
+    if model in STATIC:
+        return FieldProjection(basis, optics.focal_length, None if model == "tangent" else optics.distortion)
+    return ObservedField(basis, optics.focal_length, optics.distortion, conditions, optics.radius, optics.light, model)
+
+
+def displacements(
+    points: np.ndarray, fiber_types: Sequence[str | None], *field: object
+) -> tuple[dict[str, np.ndarray], np.ndarray]:
+    """Compare the images of targets in each model with their images in the model ``full``.
+
+    Parameters
+    ----------
+    points : ndarray, shape (m, n, 2)
+        Positions of the images in the model ``full``, in mm, for each fiber type.
+    fiber_types : sequence of str or None
+        The m fiber types of the targets.
+    *field : object
+        All arguments of `field_of_model` except the name of the model.
+
+    Returns
+    -------
+    dict of str to ndarray, shape (m, n)
+        For each model, the distances (mm) from the images in the model ``full``.
+    ndarray, shape (m, n)
+        The largest distance (mm) between the image and its mean position during the exposure.
+    """
+    fields = {name: field_of_model(name, *field) for name in MODELS}
+    full = fields.pop("full")
+    targets = [(full.unproject(xy, kind), xy, kind) for xy, kind in zip(points, fiber_types, strict=True)]
+    moved = {
+        name: np.array([np.hypot(*(field.project(vectors, kind) - xy).T) for vectors, xy, kind in targets])
+        for name, field in fields.items()
+    }
+    moved["full"] = np.zeros(points.shape[:2])
+    return moved, np.array([full.drift(vectors, kind) for vectors, _, kind in targets])
