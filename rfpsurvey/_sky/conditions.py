@@ -3,7 +3,7 @@
 import os
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import NamedTuple
 
 import astropy.units as u
@@ -73,6 +73,7 @@ OPTIONAL = ("guide_wavelength_um", "hour_angle_deg", "tolerance_mm", *RECORDED[1
 """Names of values that records can lack."""
 FORMER = {"scale": 1.0, "compensator": "none", "projection": "full"}
 """Values that records omit, because records of version 0.3 do not contain them."""
+UTC = {"to_record": lambda time: time.utc.isot, "sparse": True}
 COMPENSATORS = ("instrument", "none", "ideal")
 MODELS = {
     "tangent": "tangent plane with one plate scale",
@@ -102,10 +103,10 @@ def as_hour_angle(value: u.Quantity) -> u.Quantity:
     return value
 
 
-def _in_known_scale(value: object) -> Time:
-    time = to_moment(value, "time")
+def _in_known_scale(value: object, name: str = "time") -> Time:
+    time = to_moment(value, name)
     if time.scale in ("ut1", "local"):
-        raise InputError(f"time must be in a scale such as UTC, got the scale {time.scale}; give UTC")
+        raise InputError(f"{name} must be in a scale such as UTC, got the scale {time.scale}; give UTC")
     return time
 
 
@@ -207,11 +208,11 @@ class ObservingConditions(Settings):
     """
 
     site: EarthLocation | str = option(convert=as_site, record=None)
-    time: Time | None = option(None, convert=_in_known_scale, to_record=lambda time: time.utc.isot, sparse=True)
+    time: Time | None = option(None, convert=_in_known_scale, **UTC)
     hour_angle: u.Quantity[u.hourangle] | None = option(
         None, convert=as_hour_angle, above=-24, below=24, record="hour_angle_deg", unit=u.deg, sparse=True
     )
-    date: Time | None = option(None, convert=_in_known_scale, to_record=lambda time: time.utc.isot, sparse=True)
+    date: Time | None = option(None, convert=partial(_in_known_scale, name="date"), **UTC)
     wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] | None = option(None, sparse=True, **WAVELENGTHS)
     guide_wavelength: u.Quantity[u.um] | None = option(None, sparse=True, **WAVELENGTHS)
     compensator: str = option("instrument", choices=COMPENSATORS)

@@ -146,7 +146,8 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
         plane = np.ascontiguousarray(zenith[:, :2] / zenith[:, 2:])
         refraction.displacements(plane, weights, len(seconds) // 2, np.tan(optics.radius), guide, waves, parts)
     static, instant, mean, drift = MARGIN * scale * parts
-    static += abs(conditions.scale - 1) * edge + np.linalg.norm(sky.motion[0, :3]) * edge * MARGIN
+    stretch = MARGIN * scale * np.tan(optics.radius)  # at the edge (mm), for a change of all field angles by a factor
+    static += abs(conditions.scale - 1) * edge + np.linalg.norm(sky.motion[0, :3]) * stretch
     largest = {
         "tangent": static + error,
         "radial": static,
@@ -154,7 +155,7 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
         "dispersion": mean,
         "full": 0.0,
     }
-    aberration = SPEED * edge * np.sqrt(1 - (basis[2] @ ECLIPTIC) ** 2) * _lacks_aberration(optics.light, conditions)
+    aberration = SPEED * stretch * np.sqrt(1 - (basis[2] @ ECLIPTIC) ** 2) * _lacks_aberration(optics.light, conditions)
     given = conditions.numbers.tolerance
     tolerance = optics.tolerance if given is None else given
     numbers = {name: float(value) for name, value in largest.items()}
