@@ -7,6 +7,7 @@ replaces another one receives its line first; until it is renamed, the line of t
 
 import hashlib
 import json
+import math
 import re
 from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from pathlib import Path
@@ -306,6 +307,12 @@ def load_request(path: Path) -> dict:
         raise InputError(f"{path} is damaged ({error}); restore it, or start again in another folder") from None
 
 
+def _agree(first: object, second: object) -> bool:
+    """Return whether two values are equal; numbers can differ by rounding errors of other versions of the software."""
+    both = isinstance(first, float) and isinstance(second, float)
+    return first == second or (both and math.isclose(first, second, rel_tol=1e-11))
+
+
 def check_request(path: Path, before: dict, now: dict, work: str, place: str) -> None:
     """Raise an error if the present request differs from the request with which the unfinished work began.
 
@@ -325,7 +332,7 @@ def check_request(path: Path, before: dict, now: dict, work: str, place: str) ->
     InputError
         If the two requests differ.
     """
-    if different := [name for name in sorted({*before, *now}) if before.get(name) != now.get(name)]:
+    if different := [name for name in sorted({*before, *now}) if not _agree(before.get(name), now.get(name))]:
         name = different[0]
         raise InputError(
             f"{path} holds another {work}: {', '.join(different)} {'differs' if len(different) == 1 else 'differ'} "

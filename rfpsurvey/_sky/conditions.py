@@ -74,7 +74,6 @@ OPTIONAL = ("guide_wavelength_um", "hour_angle_deg", "tolerance_mm", *RECORDED[1
 FORMER = {"scale": 1.0, "compensator": "none", "projection": "full"}
 """Values that records omit, because records of version 0.3 do not contain them."""
 UTC = {"to_record": lambda time: time.utc.isot, "sparse": True}
-COMPENSATORS = ("instrument", "none", "ideal")
 MODELS = {
     "tangent": "tangent plane with one plate scale",
     "radial": "radial map of the instrument",
@@ -215,7 +214,7 @@ class ObservingConditions(Settings):
     date: Time | None = option(None, convert=partial(_in_known_scale, name="date"), **UTC)
     wavelength: u.Quantity[u.um] | dict[str, u.Quantity[u.um]] | None = option(None, sparse=True, **WAVELENGTHS)
     guide_wavelength: u.Quantity[u.um] | None = option(None, sparse=True, **WAVELENGTHS)
-    compensator: str = option("instrument", choices=COMPENSATORS)
+    compensator: str = option("instrument", choices=("instrument", "none", "ideal"))
     pressure: u.Quantity[u.hPa] | None = option(None, low=0, below=1200)
     temperature: u.Quantity[u.deg_C] = option(
         10 * u.deg_C, convert=_celsius, above=-150, below=200, record="temperature_c"

@@ -92,7 +92,7 @@ class Light(Checked, ByValue):
             bands = {name: band for name, band in _by_type(self.band).items() if kind in (name, "") or name == ""}
             if bands and not any(band[0] <= wave <= band[1] for band in bands.values()):
                 shown = listed(f"{name} {band[0].value:g} to {band[1]:g}".strip() for name, band in bands.items())
-                warn(f"the wavelength {wave:g} is outside the band of the fibers ({shown})")
+                warn(f"the wavelength {wave.to(u.um):g} is outside the band of the fibers ({shown})")
 
 
 def _by_type(value: object) -> dict:
