@@ -7,14 +7,13 @@ from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
 
-GUIDE = 0.6231 * u.um
-# site, wavelengths, and milliseconds per 10,000 targets as tests/benchmarks/observing_models.py prints them
+# site, and milliseconds per 10,000 targets as tests/benchmarks/observing_models.py prints them
 CASES = {
-    "lamost": ("xinglong", 0.5 * u.um, [0.03, 0.03, 3.0, 2.8, 7.2]),
-    "sdss_apo": ("apache point", {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}, [0.03, 1.4, 4.7, 5.5, 9.9]),
-    "moons": ("paranal", GUIDE, [0.03, 0.03, 3.0, 2.7, 6.9]),
-    "desi": ("kitt peak", GUIDE, [0.03, 0.40, 3.4, 3.1, 7.2]),
-    "pfs": ("mauna kea", GUIDE, [0.03, 0.47, 3.4, 3.5, 7.5]),
+    "lamost": ("xinglong", [0.03, 0.03, 3.0, 2.8, 7.2]),
+    "sdss_apo": ("apache point", [0.03, 1.4, 4.7, 5.5, 9.9]),
+    "moons": ("paranal", [0.03, 0.03, 3.0, 2.7, 6.9]),
+    "desi": ("kitt peak", [0.03, 0.40, 3.4, 3.1, 7.2]),
+    "pfs": ("mauna kea", [0.03, 0.47, 3.4, 3.5, 7.5]),
 }
 LABELS = {
     "tangent": "tangent plane",
@@ -26,10 +25,8 @@ LABELS = {
 COLORS = dict(zip(LABELS, ("#000000", "#D55E00", "#0072B2", "#009E73", "#AAAAAA"), strict=True))
 ALTITUDES = (85, 75, 60, 45, 30, 20)
 figure, axes = plt.subplots(2, 3, figsize=(10, 6.5), layout="constrained")
-for ax, (name, (site, wavelength, milliseconds)) in zip(axes.flat, CASES.items(), strict=False):
-    conditions = rs.ObservingConditions(
-        site, hour_angle=0 * u.deg, wavelength=wavelength, guide_wavelength=GUIDE, exposure_time=15 * u.min
-    )
+for ax, (name, (site, milliseconds)) in zip(axes.flat, CASES.items(), strict=False):
+    conditions = rs.ObservingConditions(site, hour_angle=0 * u.deg, exposure_time=15 * u.min)
     latitude = conditions.site.lat.rad
     moved = []
     for altitude in ALTITUDES:

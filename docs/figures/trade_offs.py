@@ -16,15 +16,7 @@ import rfpsurvey as rs
 from rfpsurvey._instruments.instrument import as_instrument
 
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#AA4499", "#000000", "#B8860B", "#6E6E6E")
-GUIDE = 0.6231 * u.um
-# Site, and wavelength of the fibers; compensators of MOONS, DESI and PFS remove the dispersion.
-CASES = {
-    "lamost": ("xinglong", 0.5 * u.um),
-    "sdss_apo": ("apache point", {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}),
-    "moons": ("paranal", GUIDE),
-    "desi": ("kitt peak", GUIDE),
-    "pfs": ("mauna kea", GUIDE),
-}
+SITES = {"lamost": "xinglong", "sdss_apo": "apache point", "moons": "paranal", "pfs": "mauna kea"}
 # Directions in which a label can be placed next to its point.
 SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (1, -1), (-1, 1), (-1, -1))
 
@@ -63,8 +55,7 @@ def finish(figure):
 
 def conditions_at(name, altitude):
     """Return conditions with a field at an altitude (deg), and the center of the field, which can be at the zenith."""
-    site, wavelength = CASES.get(name, ("kitt peak", 0.5 * u.um))
-    given = {"wavelength": wavelength, "guide_wavelength": GUIDE, "exposure_time": 15 * u.min}
+    site, given = SITES.get(name, "kitt peak"), {"exposure_time": 15 * u.min}
     latitude = rs.ObservingConditions(site, hour_angle=0 * u.deg).site.lat.rad
     # with declination = latitude: sin(altitude) = sin(lat)^2 + cos(lat)^2 cos(hour angle)
     cosine = (np.sin(np.deg2rad(altitude)) - np.sin(latitude) ** 2) / np.cos(latitude) ** 2

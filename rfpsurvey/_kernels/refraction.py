@@ -107,7 +107,7 @@ def _aberrate(p, motion):
 
 
 @kernel
-def displacements(zenith, weights, middle, radius, guide, fibers, out):
+def displacements(zenith, weights, center, radius, guide, fibers, out):
     """Compute how far targets at the edge of a field are displaced by refraction, and by single parts of it.
 
     Refraction is A tan z, to first order in A. The gnomonic coordinates about the field center are those of the
@@ -119,7 +119,7 @@ def displacements(zenith, weights, middle, radius, guide, fibers, out):
         Gnomonic coordinates of the zenith about the field center, at instants of the exposure.
     weights : ndarray, shape (k,)
         Weight of each instant in the mean over the exposure.
-    middle : int
+    center : int
         Index of the midpoint of the exposure.
     radius : float
         Tangent of the radius of the field.
@@ -148,10 +148,10 @@ def displacements(zenith, weights, middle, radius, guide, fibers, out):
                 at[k, 0], at[k, 1] = fibers[m] * x - center_x, fibers[m] * y - center_y
                 mean_x += weights[k] * at[k, 0]
                 mean_y += weights[k] * at[k, 1]
-                if k == middle:
+                if k == center:
                     guided_x, guided_y = guide * x - center_x, guide * y - center_y
             out[0] = max(out[0], math.hypot(mean_x, mean_y))
             out[1] = max(out[1], math.hypot(mean_x - guided_x, mean_y - guided_y))
-            out[2] = max(out[2], math.hypot(mean_x - at[middle, 0], mean_y - at[middle, 1]))
+            out[2] = max(out[2], math.hypot(mean_x - at[center, 0], mean_y - at[center, 1]))
             for k in range(zenith.shape[0]):
                 out[3] = max(out[3], math.hypot(at[k, 0] - mean_x, at[k, 1] - mean_y))

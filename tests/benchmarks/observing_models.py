@@ -1,35 +1,37 @@
 """Displacements and times of the models of the projection: ``python tests/benchmarks/observing_models.py``.
 
-It prints the table of the page on observing conditions, and the times in ``docs/figures/observing_models.py``. Fields
-pass through the zenith, and are west of the meridian.
+It prints the table of the page on observing conditions, the times in ``docs/figures/observing_models.py``, and the times
+of tiles with and without conditions, in alternating repeats. Fields pass through the zenith, and are west of the
+meridian.
 """
+
+from dataclasses import replace
+from time import perf_counter
 
 import astropy.units as u
 import numpy as np
-from astropy.coordinates import SkyCoord
+from astropy.coordinates import AltAz, SkyCoord
 from measure import smallest
 
 import rfpsurvey as rs
 from rfpsurvey._sky.conditions import MODELS
-from rfpsurvey._sky.models import field_of_model
+from rfpsurvey._sky.models import choose_model, field_of_model
 
-BOTH = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
-# Site, and wavelength of the fibers; compensators of MOONS, DESI and PFS remove the dispersion.
 CASES = {
-    "lamost": ("xinglong", 0.5 * u.um),
-    "sdss_apo": ("apache point", BOTH),
-    "moons": ("paranal", 0.6231 * u.um),
-    "desi": ("kitt peak", 0.6231 * u.um),
-    "pfs": ("mauna kea", 0.6231 * u.um),
+    "lamost": "xinglong",
+    "sdss_apo": "apache point",
+    "moons": "paranal",
+    "desi": "kitt peak",
+    "pfs": "mauna kea",
 }
 ALTITUDES = (85, 75, 60, 45, 30, 20)
 N_TARGETS, REPEATS = 10_000, 20
+TIMES = {"lamost": "2026-01-15T16:00"}
 
 
 def conditions_at(name, altitude):
     """Return conditions with a field at an altitude (deg), and the center of the field."""
-    site, wavelength = CASES[name]
-    given = {"wavelength": wavelength, "guide_wavelength": 0.6231 * u.um, "exposure_time": 15 * u.min}
+    site, given = CASES[name], {"exposure_time": 15 * u.min}
     latitude = rs.ObservingConditions(site, hour_angle=0 * u.deg).site.lat.rad
     # with declination = latitude: sin(altitude) = sin(lat)^2 + cos(lat)^2 cos(hour angle)
     cosine = (np.sin(np.deg2rad(altitude)) - np.sin(latitude) ** 2) / np.cos(latitude) ** 2
@@ -55,7 +57,44 @@ def seconds(name):
     return found
 
 
+def tiles(name):
+    """Print the time of a tile with conditions divided by that without, and the time of the choice of the model.
+
+    In the first case, a model with refraction suffices. The floor contains the projection by this model, but no choice.
+    """
+    instrument, (conditions, center) = rs.Instrument.preset(name), conditions_at(name, 60)
+    density = min(instrument.target_density, 3e4 / u.deg**2)
+    stars = rs.synthetic_catalog("poisson", center, instrument.field_radius, density=density, rng=1)
+    ideal = replace(conditions, compensator="ideal")
+    dated = rs.ObservingConditions(CASES[name], time=TIMES.get(name, "2026-01-15T06:00"), exposure_time=15 * u.min)
+    overhead = SkyCoord(AltAz(az=0 * u.deg, alt=70 * u.deg, obstime=dated.time, location=dated.site)).icrs
+    moved = rs.synthetic_catalog("poisson", overhead, instrument.field_radius, density=density, rng=1)
+    cases = {
+        "none": (stars, center, {}),
+        "floor": (stars, center, {"conditions": replace(ideal, projection="refraction")}),
+        "refraction": (stars, center, {"conditions": ideal}),
+        "auto": (stars, center, {"conditions": conditions}),
+        "none, dated": (moved, overhead, {}),
+        "dated": (moved, overhead, {"conditions": dated}),
+    }
+    seconds = {case: [] for case in cases}
+    for _ in range(REPEATS):
+        for case, (sky, where, given) in cases.items():
+            begin = perf_counter()
+            rs.plan_tile(sky, instrument, where, **given)
+            seconds[case].append(perf_counter() - begin)
+    medians = {case: np.median(values[1:]) for case, values in seconds.items()}
+    basis = instrument.projection(center).plain.basis
+    choice = smallest(lambda: choose_model(instrument.optics, basis, conditions), 200)
+    ratios = {case: round(medians[case] / medians["none"], 2) for case in ("floor", "refraction", "auto")}
+    ratios["dated"] = round(medians["dated"] / medians["none, dated"], 2)
+    print(f"{name:<9} {len(stars)} targets, {1e3 * medians['none']:.1f} ms per tile without conditions, {ratios},")
+    print(f"          choice {1e6 * choice:.0f} us, {100 * choice / medians['none']:.2f} %")
+
+
 if __name__ == "__main__":
+    for name in CASES:
+        tiles(name)
     for name in CASES:
         for altitude in ALTITUDES:
             conditions, center = conditions_at(name, altitude)
