@@ -15,6 +15,7 @@ from rfpsurvey._sky.conditions import MODELS, ObservingConditions, as_hour_angle
 from rfpsurvey._sky.models import check_model, choose_model, displacements, field_of_model, not_included
 from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.projection import FieldProjection, TangentPlane
+from rfpsurvey._sky.wavelengths import observed_light, warn_outside_band
 from rfpsurvey.errors import InputError, check_keywords, listed
 
 # Numbers of points for which displacements are computed: centers of positioners, and points at the edge of the field.
@@ -181,7 +182,7 @@ def choose_projection(
         model = "radial" if model in (None, "auto") else model
         return field_of_model(model, plane.plain.basis, instrument.optics), {"model": model}
     conditions = conditions if model is None else replace(conditions, projection=model)
-    instrument.light.warn_outside_band(conditions)
+    warn_outside_band(instrument.light, conditions)
     choice = choose_model(instrument.optics, plane.plain.basis, conditions)
     field = field_of_model(choice.model, plane.plain.basis, instrument.optics, conditions)
     return field, {"model": choice.model, **choice.record}
@@ -193,7 +194,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
         tolerance = cases[0].tolerance
     if tolerance is None and instrument.optics.tolerance is not None:
         tolerance = instrument.optics.tolerance * u.mm
-    light = instrument.light.observed(cases[0])
+    light = observed_light(instrument.light, cases[0])
     by_type = isinstance(instrument.distortion, dict) or (isinstance(light.fibers, dict) and not light.compensated)
     kinds = instrument.focal_plane.fiber_types if by_type else [None]
     points, n_spread = _points(instrument, plane.plain, kinds)

@@ -13,7 +13,7 @@ from rfpsurvey._sky.instants import coefficients, midpoint
 from rfpsurvey._sky.observed_field import FEWEST, NO_LIGHT, ObservedField, moments_of_exposure
 from rfpsurvey._sky.projection import FieldProjection
 from rfpsurvey._sky.radial_map import RadialMap
-from rfpsurvey._sky.wavelengths import Light
+from rfpsurvey._sky.wavelengths import Light, observed_light
 from rfpsurvey.errors import InputError, check_choice
 
 STATIC = ("tangent", "radial")
@@ -131,7 +131,7 @@ class ModelChoice:
 
 def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
     """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`."""
-    light, (scale, edge, error) = optics.light.observed(conditions), optics.profile
+    light, (scale, edge, error) = observed_light(optics.light, conditions), optics.profile
     half, seconds, weights = conditions.numbers.half_exposure, np.zeros(1), np.ones(1)
     if half:
         moments, weights, _ = moments_of_exposure(FEWEST if half <= LONG else MANY)
@@ -169,7 +169,7 @@ def _lacks_aberration(light: Light, conditions: ObservingConditions) -> bool:
 
 def not_included(light: Light, conditions: ObservingConditions) -> tuple[str, ...]:
     """Return the effects on positions that no model includes, each with the reason in parentheses."""
-    used = light.observed(conditions)
+    used = observed_light(light, conditions)
     dispersion = f"dispersion (all fibers and the guide camera are assumed to observe at {used.guide:g} um)"
     aberration = "differential aberration (the conditions have an hour angle and no date)"
     return (dispersion,) * used.assumed + (aberration,) * _lacks_aberration(light, conditions)

@@ -10,7 +10,7 @@ from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.instants import Instants, midpoint
 from rfpsurvey._sky.projection import FieldProjection, groups_of_types
 from rfpsurvey._sky.radial_map import RadialMap
-from rfpsurvey._sky.wavelengths import Light
+from rfpsurvey._sky.wavelengths import Light, observed_light
 from rfpsurvey.errors import InputError
 
 # STEP: half the distance (rad) between the points whose images define the orientation of the field.
@@ -93,7 +93,7 @@ class ObservedField:
     ):
         self.basis, self.focal_length, self.distortion, self.conditions = basis, focal_length, distortion, conditions
         self.model, self._optics = model, FieldProjection(np.eye(3), focal_length, distortion)
-        self.light = light.observed(conditions)
+        self.light = observed_light(light, conditions)
         if model == "refraction":
             self.light = replace(self.light, compensated=True)
         self._keeps_scale = "scale" in light.guider_removes

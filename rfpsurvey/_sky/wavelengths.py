@@ -69,30 +69,9 @@ class Light(Checked, ByValue):
     dispersion_compensator: str = option("unknown", choices=COMPENSATORS)
     guider_removes: tuple[str, ...] = option(REMOVED[:2], convert=_removed)
 
-    def observed(self, conditions: ObservingConditions) -> "ObservedLight":
-        """Return the wavelengths of an observation; those of the conditions replace those of the instrument."""
-        given, (of_fibers, of_guider) = conditions.numbers, self._numbers
-        fibers = of_fibers if given.wavelength is None else given.wavelength
-        assumed, fibers = fibers is None, ASSUMED_UM if fibers is None else fibers
-        guide = of_guider if given.guide_wavelength is None else given.guide_wavelength
-        if guide is None:
-            guide = next(iter(fibers.values())) if isinstance(fibers, dict) else fibers
-        ideal = conditions.compensator == "ideal"
-        ideal |= conditions.compensator == "instrument" and self.dispersion_compensator == "yes"
-        return ObservedLight(fibers, guide, ideal, assumed)
-
     @cached_property
     def _numbers(self) -> tuple:
         return in_micrometers(self.wavelength), in_micrometers(self.guide_wavelength)
-
-    def warn_outside_band(self, conditions: ObservingConditions | None) -> None:
-        """Warn of wavelengths in the observing conditions that are outside the bands of the instrument."""
-        given = None if conditions is None else conditions.wavelength
-        for kind, wave in {} if given is None else _by_type(given).items():
-            bands = {name: band for name, band in _by_type(self.band).items() if kind in (name, "") or name == ""}
-            if bands and not any(band[0] <= wave <= band[1] for band in bands.values()):
-                shown = listed(f"{name} {band[0].value:g} to {band[1]:g}".strip() for name, band in bands.items())
-                warn(f"the wavelength {wave.to(u.um):g} is outside the band of the fibers ({shown})")
 
 
 def _by_type(value: object) -> dict:
@@ -137,3 +116,26 @@ class ObservedLight:
         source = " (assumed)" if self.assumed else ""
         removed = ", dispersion is compensated" if self.compensated else ""
         return f"wavelengths: fibers {fibers}{source}, guider {self.guide:g} um{removed}"
+
+
+def observed_light(light: Light, conditions: ObservingConditions) -> "ObservedLight":
+    """Return the wavelengths of an observation; those of the conditions replace those of the instrument."""
+    given, (of_fibers, of_guider) = conditions.numbers, light._numbers
+    fibers = of_fibers if given.wavelength is None else given.wavelength
+    assumed, fibers = fibers is None, ASSUMED_UM if fibers is None else fibers
+    guide = of_guider if given.guide_wavelength is None else given.guide_wavelength
+    if guide is None:
+        guide = next(iter(fibers.values())) if isinstance(fibers, dict) else fibers
+    ideal = conditions.compensator == "ideal"
+    ideal |= conditions.compensator == "instrument" and light.dispersion_compensator == "yes"
+    return ObservedLight(fibers, guide, ideal, assumed)
+
+
+def warn_outside_band(light: Light, conditions: ObservingConditions | None) -> None:
+    """Warn of wavelengths in the observing conditions that are outside the bands of the instrument."""
+    given = None if conditions is None else conditions.wavelength
+    for kind, wave in {} if given is None else _by_type(given).items():
+        bands = {name: band for name, band in _by_type(light.band).items() if kind in (name, "") or name == ""}
+        if bands and not any(band[0] <= wave <= band[1] for band in bands.values()):
+            shown = listed(f"{name} {band[0].value:g} to {band[1]:g}".strip() for name, band in bands.items())
+            warn(f"the wavelength {wave.to(u.um):g} is outside the band of the fibers ({shown})")

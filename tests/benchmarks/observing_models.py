@@ -1,7 +1,7 @@
 """Displacements and times of the models of the projection: ``python tests/benchmarks/observing_models.py``.
 
-It prints the table of the page on observing conditions, the times in ``docs/figures/observing_models.py``, and the times
-of tiles with and without conditions, in alternating repeats. Fields pass through the zenith, and are west of the
+It prints the table of the page on observing conditions, the times in ``docs/figures/observing_models.py``, and the
+times of tiles with and without conditions, in alternating repeats. Fields pass through the zenith, and are west of the
 meridian.
 """
 

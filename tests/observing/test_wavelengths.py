@@ -18,6 +18,7 @@ from rfpsurvey._sky.instants import Instants, coefficients
 from rfpsurvey._sky.models import choose_model
 from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.projection import field_basis
+from rfpsurvey._sky.wavelengths import observed_light
 
 HOUR = np.pi / 12
 TOLERANCE = np.deg2rad(2e-5 / 3600)  # 0.02 mas
@@ -238,7 +239,7 @@ def test_the_choice_costs_little_and_the_model_is_recorded(presets):
 def test_wavelengths_are_those_of_the_instrument_unless_they_are_given(presets):
     def used(name, **given):
         conditions = rs.ObservingConditions("paranal", hour_angle=0 * u.deg, **given)
-        light = presets[name].light.observed(conditions)
+        light = observed_light(presets[name].light, conditions)
         return light.fibers, light.guide, light.compensated, light.assumed
 
     assert used("sdss_apo") == ({"BOSS": 0.54, "APOGEE": 1.66}, 0.6231, False, False)

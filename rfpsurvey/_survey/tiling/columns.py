@@ -21,6 +21,7 @@ from rfpsurvey._sky.conditions import ObservingConditions, as_hour_angle
 from rfpsurvey._sky.observed_field import ObservedField
 from rfpsurvey._sky.survey_formats import check_mode
 from rfpsurvey._sky.time import any_year, to_moment
+from rfpsurvey._sky.wavelengths import observed_light, warn_outside_band
 from rfpsurvey.errors import InputError, check_choice, listed, number_of, refusal, short, warn
 
 if TYPE_CHECKING:
@@ -285,8 +286,10 @@ class FieldsOfTiles:
         """The record of the observing conditions and of the wavelengths, which version 0.3 recorded as conditions."""
         if (common := self.tiling.conditions) is None:
             return {}
-        used = {} if common.compensator == "none" else {"wavelengths": self.instrument.light.observed(common).record}
-        return {"conditions": self.tiling.table.meta["conditions"], **used}
+        entries = {"conditions": self.tiling.table.meta["conditions"]}
+        if common.compensator != "none":
+            entries["wavelengths"] = observed_light(self.instrument.light, common).record
+        return entries
 
     @property
     def projections(self) -> list[str]:
@@ -305,7 +308,7 @@ class FieldsOfTiles:
         if self.conditions is None:
             return field_radius_rad(self.instrument)
         fields = []
-        self.instrument.light.warn_outside_band(self.tiling.conditions)
+        warn_outside_band(self.instrument.light, self.tiling.conditions)
         for name, place, obs in zip(self.tiling.table["tile"], np.deg2rad(self.places), self.conditions, strict=True):
             try:
                 fields.append(self.instrument.field_projection(*place, obs))
