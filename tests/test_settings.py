@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
+from astropy.time import Time
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -113,13 +114,17 @@ VALUES = {
         "site": choices("paranal", "Kitt Peak"),
         "time": st.none(),
         "hour_angle": lengths(-23, 23, u.hourangle, u.deg),
-        "wavelength": WAVES | st.dictionaries(choices("a", "b"), WAVES, min_size=1),
-        "guide_wavelength": WAVES,
+        "date": st.none() | choices(Time("2025-05-01"), "2041-01-01"),
+        "wavelength": st.none() | WAVES | st.dictionaries(choices("a", "b"), WAVES, min_size=1),
+        "guide_wavelength": st.none() | WAVES,
+        "compensator": choices("instrument", "none", "ideal"),
         "pressure": lengths(0, 1100, u.hPa, u.bar),
         "temperature": numbers(-50, 50).map(lambda value: value * u.deg_C) | choices(280 * u.K),
         "humidity": numbers(0, 1) | choices(0, 40 * u.percent),
         "exposure_time": lengths(0, 4e4, S, u.hour),
         "tolerance": lengths(0.001, 1, MM, UM),
+        "scale": numbers(0.9, 1.1),
+        "projection": choices("auto", "full", "radial"),
     },
 }
 # the values of options that records contain only in part

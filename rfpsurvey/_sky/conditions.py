@@ -15,7 +15,7 @@ from rfpsurvey._common.files import to_path
 from rfpsurvey._common.read_documents import read_toml
 from rfpsurvey._common.settings import Settings, option
 from rfpsurvey._common.units import value_of
-from rfpsurvey._sky.time import to_moment
+from rfpsurvey._sky.time import any_year, to_moment
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, refusing, short
 
 HIGHEST = 1e5  # m
@@ -59,8 +59,7 @@ def site_name(site: EarthLocation) -> str:
     return next((name for name in SITES if as_site(name) == site), "")
 
 
-LONGEST_S = 43200
-WAVELENGTHS = {"above": 0.1, "below": 100}
+LONGEST_S, WAVELENGTHS = 43200, {"above": 0.1, "below": 100}
 RECORDED = (
     *("longitude_deg", "latitude_deg", "height_m", "guide_wavelength_um", "pressure_hpa", "temperature_c", "humidity"),
     *("exposure_time_s", "hour_angle_deg", "tolerance_mm", "time", "wavelength_um"),
@@ -73,7 +72,7 @@ OPTIONAL = ("guide_wavelength_um", "hour_angle_deg", "tolerance_mm", *RECORDED[1
 """Names of values that records can lack."""
 FORMER = {"scale": 1.0, "compensator": "none", "projection": "full"}
 """Values that records omit, because records of version 0.3 do not contain them."""
-UTC = {"to_record": lambda time: time.utc.isot, "sparse": True}
+UTC = {"to_record": any_year()(lambda time: time.utc.isot), "sparse": True}
 MODELS = {
     "tangent": "tangent plane with one plate scale",
     "radial": "radial map of the instrument",
@@ -102,6 +101,7 @@ def as_hour_angle(value: u.Quantity) -> u.Quantity:
     return value
 
 
+@any_year()
 def _in_known_scale(value: object, name: str = "time") -> Time:
     time = to_moment(value, name)
     if time.scale in ("ut1", "local"):

@@ -177,9 +177,9 @@ def not_included(light: Light, conditions: ObservingConditions) -> tuple[str, ..
 
 def check_model(model: str | None, conditions: ObservingConditions | None) -> None:
     """Raise an error if a model is unknown, or must have conditions."""
-    if model not in (None, "auto"):
-        check_choice(model, MODELS, "projection")
-        if conditions is None and model not in STATIC:
+    if model is not None:
+        check_choice(model, ("auto", *MODELS), "projection")
+        if conditions is None and model not in ("auto", *STATIC):
             raise InputError(f"the projection {model!r} must have conditions, got none; give the argument conditions")
 
 

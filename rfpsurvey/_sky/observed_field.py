@@ -149,8 +149,8 @@ class ObservedField:
 
     def wavelength_groups(self, fiber_type: str | np.ndarray | None, n: int) -> list[tuple[object, float]]:
         """Return which targets are observed at which wavelength, as pairs (rows, wavelength in micrometers)."""
-        if len(self.light.distinct) == 1 and not isinstance(self.light.fibers, dict):
-            return [(slice(None), self.light.distinct[0])]
+        if self.light.compensated or not isinstance(self.light.fibers, dict):
+            return [(slice(None), self.light.of(""))]
         first = next(iter(self.distortion if isinstance(self.distortion, dict) else self.light.fibers))
         return [(rows, self.light.of(name)) for rows, name in groups_of_types(fiber_type, first, n)]
 
@@ -161,7 +161,7 @@ class ObservedField:
     def _observe(self, vectors, fiber_type, weights=None):
         """Return observed directions, averaged over the exposure, in the frame of the field, shape (n, 3)."""
         weights, groups = self.weights if weights is None else weights, self.wavelength_groups(fiber_type, len(vectors))
-        if isinstance(groups[0][0], slice):
+        if groups and isinstance(groups[0][0], slice):
             return self._instants.observe(vectors, groups[0][1], weights, self._turns)
         out = np.empty((len(vectors), 3))
         for rows, wavelength in groups:
