@@ -72,7 +72,7 @@ class ObservedField:
     >>> import numpy as np
     >>> import rfpsurvey as rs
     >>> lamost = rs.Instrument.preset("lamost")
-    >>> conditions = rs.ObservingConditions("xinglong", hour_angle=3 * u.hourangle)
+    >>> conditions = rs.ObservingConditions("xinglong", hour_angle=3 * u.hourangle, compensator="ideal")
     >>> field = lamost.field_projection(ra=0.0, dec=0.5, angle=0.0, conditions=conditions)
     >>> targets = np.array([[np.cos(0.51), 0, np.sin(0.51)]])
     >>> field.project(targets).round(3)

@@ -60,7 +60,7 @@ class Light(Checked, ByValue):
     >>> import rfpsurvey as rs
     >>> light = rs.Instrument.preset("sdss_apo").light
     >>> light.wavelength["APOGEE"], light.dispersion_compensator
-    (<Quantity 1.6 um>, 'no')
+    (<Quantity 1.66 um>, 'no')
     """
 
     band: u.Quantity | dict[str, u.Quantity] | None = option(None, convert=_bands)
