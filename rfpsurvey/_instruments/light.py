@@ -1,0 +1,385 @@
+"""Light of point sources that enters fibers, which seeing, dispersion and drift during the exposure reduce."""
+
+from dataclasses import dataclass, replace
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from scipy.optimize import brentq, minimize_scalar
+
+from rfpsurvey._common.units import check_columns, from_lonlat, to_center, to_mm, to_numbers, to_scalar, to_unit
+from rfpsurvey._instruments.entries import value_of
+from rfpsurvey._instruments.instrument import Instrument, as_instrument
+from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
+from rfpsurvey._sky.projection import TangentPlane
+from rfpsurvey.errors import InputError, check_choice, check_fiber_type, check_keywords, check_switch, refusing, short
+
+PROFILES = ("gaussian", "moffat")
+# EXPONENT: the error of the quadrature is a small factor times exp(-EXPONENT). FEWEST: smallest number of its points.
+# WIDEST: largest diameter of a fiber in units of the FWHM, so that the number of points is limited.
+EXPONENT, FEWEST, WIDEST, TINY = 20.0, 4, 1e4, 1e-300
+# N_POSITIONS: number of positions in the field at which the smallest light is computed. STEP: length (mm) of the
+# differences from which the local plate scale is computed.
+N_POSITIONS, STEP, N_MOMENTS = 60, 1e-3, 5
+# N_MOMENTS: number of moments in the mean over an exposure (Gauss-Legendre quadrature).
+# Step and tolerance of hour angles (hours), and tolerance of wavelengths (um).
+STEP_H, TOLERANCE_H, TOLERANCE_UM = 0.5, 1e-3, 1e-4
+
+
+def _checked(value: object, unit: object, name: str, low: float = 0.0, closed: bool = False) -> np.ndarray:
+    """Return finite numbers in ``unit`` above ``low``; with ``closed``, ``low`` itself is allowed."""
+    values = to_unit(value, unit, name) if unit else to_numbers(value, name, unitless=True)
+    if not (valid := np.isfinite(values) & ((values > low) | (closed & (values == low)))).all():
+        limits = f"{'at least' if closed else 'above'} {low:g} {unit}".rstrip()
+        raise InputError(f"{name} must be finite and {limits}, got {values[~valid].flat[0]:g}")
+    return values
+
+
+def _number(value: object, name: str, low: float, high: float) -> float:
+    return to_scalar(to_numbers(value, name, unitless=True) * u.one, u.one, name, low=low, high=high)
+
+
+def _exponent_of(profile: str, beta: float) -> float:
+    """Return the exponent of a Moffat profile; it is infinite for a Gaussian profile."""
+    check_choice(profile, PROFILES, "profile")
+    beta = _number(beta, "beta", 1, 1e4)
+    return beta if profile == "moffat" else np.inf
+
+
+@check_keywords
+def fiber_fraction(
+    offset: u.Quantity, diameter: u.Quantity, fwhm: u.Quantity, *, profile: str = "moffat", beta: float = 3.5
+) -> np.ndarray:
+    """Return the fraction of the light of a point source that enters a round fiber.
+
+    Parameters
+    ----------
+    offset : Quantity
+        Distance between the center of the fiber and the center of the image, as an angle or as a length on the focal
+        plane.
+    diameter, fwhm : Quantity
+        Diameter of the fiber, and full width at half maximum of the image, with units of the same kind. The three
+        arrays are broadcast. The diameter must be at most 10,000 times the full width.
+    profile : {"moffat", "gaussian"}, optional
+        Profile of the image.
+    beta : float, optional
+        Exponent of the Moffat profile, above 1. The default value is that of simulations of DESI.
+
+    Returns
+    -------
+    ndarray
+        Fraction of the light, with an absolute error of at most 1e-7 from the quadrature.
+
+    Raises
+    ------
+    InputError
+        If a value is negative or not finite, if units or shapes do not match, or if the profile is unknown.
+
+    Notes
+    -----
+    By the divergence theorem, the fraction is the mean of E(r) over the directions from the image to the edge of the
+    fiber, where E(r) is the fraction of the light within the distance r. The integrand is periodic and analytic, so
+    that the trapezoid rule converges exponentially (:doc:`/light`).
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> rs.observing.fiber_fraction([0, 0.2, 1.0] * u.arcsec, 1.5 * u.arcsec, 1.1 * u.arcsec).round(4)
+    array([0.5743, 0.5524, 0.1936])
+    """
+    beta = _exponent_of(profile, beta)
+    unit = u.mm if isinstance(diameter, u.Quantity) and diameter.unit.is_equivalent(u.mm) else u.arcsec
+    offset = _checked(offset, unit, "offset", closed=True)
+    diameter, fwhm = _checked(diameter, unit, "diameter"), _checked(fwhm, unit, "fwhm")
+    shapes = [offset.shape, diameter.shape, fwhm.shape]
+    with refusing("offset, diameter and fwhm must have shapes that can be broadcast", shapes, list):
+        offset, diameter, fwhm = np.broadcast_arrays(offset, diameter, fwhm)
+    if (wide := diameter > WIDEST * fwhm).any():
+        ratio = (diameter[wide] / fwhm[wide]).flat[0]
+        raise InputError(f"diameter must be at most {WIDEST:g} times the fwhm, got {ratio:g} times the fwhm")
+    return _fraction(offset, diameter / 2, fwhm, beta)
+
+
+def _fraction(offset: np.ndarray, radius: np.ndarray, fwhm: np.ndarray, beta: float) -> np.ndarray:
+    """Return the fraction of the light in fibers; the arrays have the same unit, and NaN remains NaN."""
+    # With q = (r / scale)^2, the light within r is 1 - (1 + q)^(1 - beta), or 1 - exp(-q) for an infinite beta.
+    gaussian = np.isinf(beta)
+    area = fwhm**2 / (4 * np.log(2)) if gaussian else fwhm**2 / (4 * np.expm1(np.log(2) / beta))
+    near = area if gaussian else area / (1 + beta)
+    gap, product = radius - offset, radius * offset
+    # Points on the edge have the angle s from the point that is closest to the image. The substitution tan(s / 2) =
+    # stretch tan(t / 2) makes the strip |Im t| < 2 artanh(stretch) the largest one in which Re(r^2) > -near.
+    squared = np.sqrt((gap**2 + near) / ((radius + offset) ** 2 + near))
+    least = min(np.sqrt(np.nanmin(squared, initial=1.0)), 0.99)
+    n = max(FEWEST, int(np.ceil(EXPONENT / (4 * np.arctanh(least)))))
+    total = 0.0
+    for half in (np.arange(n) + 0.5) * np.pi / (2 * n):
+        sine, cosine = squared * np.sin(half) ** 2, np.cos(half) ** 2
+        where = sine / (sine + cosine)
+        q = np.maximum((gap**2 + 4 * product * where) / area, TINY)
+        within = -np.expm1(-q if gaussian else (1 - beta) * np.log1p(q))
+        total = total + within / q * (gap + 2 * offset * where) / (sine + cosine)
+    return np.clip(total * np.sqrt(squared) * radius / (n * area), 0.0, 1.0)
+
+
+@check_keywords
+def seeing_fwhm(seeing: u.Quantity, wavelength: u.Quantity, airmass: float = 1.0) -> u.Quantity:
+    """Return the full width at half maximum of images for a wavelength and an airmass.
+
+    Parameters
+    ----------
+    seeing : Quantity
+        Full width at half maximum at the zenith and at 0.5 um.
+    wavelength : Quantity
+        Wavelength.
+    airmass : float or array_like, optional
+        Airmass, at least 1. The three arrays are broadcast.
+
+    Returns
+    -------
+    Quantity
+        Full width at half maximum, in the unit of ``seeing``.
+
+    Raises
+    ------
+    InputError
+        If a value has a wrong unit, is not finite or is out of range.
+
+    Notes
+    -----
+    Fried (1966, J. Opt. Soc. Am. 56, 1372) derived for turbulence with the Kolmogorov spectrum that images are
+    proportional to the power -1/5 of the wavelength and 3/5 of the airmass.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> rs.observing.seeing_fwhm(1.2 * u.arcsec, [0.36, 0.5, 1.6] * u.um, 1.4).round(3)
+    <Quantity [1.568, 1.468, 1.164] arcsec>
+    """
+    _checked(seeing, u.arcsec, "seeing")
+    wave = _checked(wavelength, u.um, "wavelength")
+    return seeing * (wave / 0.5) ** -0.2 * _checked(airmass, "", "airmass", 1.0, closed=True) ** 0.6
+
+
+@check_keywords
+@dataclass(frozen=True, eq=False)
+class FiberLight:
+    """Light of point sources in the fibers of an instrument, averaged over an exposure of a field.
+
+    The light is computed at several wavelengths. Dispersion displaces the image of a target at these wavelengths from
+    its fiber, which is placed for ``conditions.wavelength``, and images drift during the exposure.
+
+    Parameters
+    ----------
+    instrument : Instrument or str
+        Instrument, name of a preset, or path of a TOML file.
+    center : SkyCoord or str
+        Field center.
+    conditions : ObservingConditions
+        The observing conditions.
+    wavelengths : Quantity, shape (m,), or dict of str to Quantity
+        Wavelengths for which the light is computed, such as the edges of the band of the spectrographs, or a dict with
+        m wavelengths for each of some fiber types. Fibers of other types are omitted.
+    seeing : Quantity
+        Full width at half maximum of images at the zenith and at 0.5 um; see `seeing_fwhm`.
+    position_angle : Quantity, optional
+        Position angle of the +y axis of the focal plane, from north toward east.
+    compensated : bool, optional
+        Whether a compensator of the atmospheric dispersion forms the images of all wavelengths at the same position.
+    fiber_diameter : Quantity, optional
+        Diameter of the fibers on the focal plane. By default, ``optics.fiber_diameter`` of the instrument.
+    profile, beta : optional
+        Profile of the image; see `fiber_fraction`.
+
+    Raises
+    ------
+    InputError
+        If a value is not valid, if the diameter of the fibers is unknown, or if the field is not above the horizon.
+
+    Examples
+    --------
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> conditions = rs.ObservingConditions("apache point", hour_angle=3 * u.hourangle, exposure_time=15 * u.min)
+    >>> light = rs.observing.FiberLight(
+    ...     "sdss_apo", "10h +32d", conditions, {"BOSS": [0.36, 0.54, 1.0] * u.um}, seeing=1.2 * u.arcsec
+    ... )
+    >>> light.table()["relative"].min(axis=0).round(3)
+    array([0.656, 0.999, 0.849])
+    """
+
+    instrument: Instrument | str
+    center: SkyCoord | str
+    conditions: ObservingConditions
+    wavelengths: u.Quantity | dict[str, u.Quantity]
+    seeing: u.Quantity
+    position_angle: u.Quantity = 0 * u.deg
+    compensated: bool = False
+    fiber_diameter: u.Quantity | None = None
+    profile: str = "moffat"
+    beta: float = 3.5
+
+    def __post_init__(self):
+        instrument, waves = as_instrument(self.instrument), self.wavelengths
+        check_conditions(self.conditions)
+        check_switch(self.compensated, "compensated")
+        to_scalar(self.seeing, u.arcsec, "seeing", low=0)
+        _exponent_of(self.profile, self.beta)
+        types = instrument.focal_plane.fiber_types
+        waves = waves if isinstance(waves, dict) else dict.fromkeys(types, waves)
+        for name in waves:
+            check_fiber_type(name, types, "fiber type of wavelengths")
+        waves = {name: np.atleast_1d(_checked(value, u.um, "wavelengths")) * u.um for name, value in waves.items()}
+        shapes = {value.shape for value in waves.values()}
+        if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or shape == (0,):
+            needed = "wavelengths must be an array of the shape (m,), or a dict with such an array for each fiber type"
+            raise InputError(f"{needed}, got {short(self.wavelengths)}")
+        diameter, entry = self.fiber_diameter, instrument.values.get("optics.fiber_diameter")
+        if diameter is None and entry is None:
+            raise InputError(f"fiber_diameter must be given for {instrument.name}, which does not state it, got None")
+        diameter = value_of(entry) if diameter is None else diameter
+        to_scalar(diameter, u.mm, "fiber_diameter", low=0)
+        given = {"instrument": instrument, "center": to_center(self.center), "wavelengths": waves}
+        for name, value in {**given, "fiber_diameter": diameter}.items():
+            object.__setattr__(self, name, value)
+        self._plane(self.conditions)  # raises an error if the field is below the horizon
+
+    def table(self, tile: QTable | None = None) -> QTable:
+        """Return the light that enters each fiber.
+
+        Parameters
+        ----------
+        tile : QTable, optional
+            Table of a tile (`Tile.table`), whose targets and positions of fibers are used. Targets without coordinates
+            are assumed to be where their fibers are placed. By default, the table has a fiber of each fiber type at the
+            center of each positioner.
+
+        Returns
+        -------
+        QTable
+            Table with a row for each assigned fiber. Columns: ``positioner`` and ``fiber_type``; ``x`` and ``y``, the
+            position of the fiber; ``wavelength``, ``fraction`` (fraction of the light that enters the fiber), and
+            ``relative`` (fraction divided by that of a fiber whose target is always at its center), each of the shape
+            (m,). The light of a target without an image is NaN.
+
+        Raises
+        ------
+        InputError
+            If the table lacks a column.
+        """
+        if tile is not None:
+            check_columns(tile.colnames, ("id", "status", "tip_x", "tip_y"), "tile")
+            tile = tile[np.asarray(tile["status"] == "assigned")]
+            types = np.asarray(tile["fiber_type"] if "fiber_type" in tile.colnames else [""] * len(tile), dtype=str)
+            tile, types = tile[kept := np.isin(types, list(self.wavelengths))], types[kept]
+            xy = np.column_stack([to_mm(tile[name], name) for name in ("tip_x", "tip_y")])
+            return self._light(np.asarray(tile["id"]), types, xy, tile)
+        return self._light(*self._centers())
+
+    @property
+    def smallest(self) -> float:
+        """The smallest relative light at the wavelengths for 60 or fewer positions in the field and each fiber type."""
+        return float(np.nan_to_num(self._light(*self._centers(N_POSITIONS))["relative"]).min())
+
+    def best_guide_wavelength(self, *, move_fibers: bool = True) -> u.Quantity:
+        """Return the guide wavelength for which the smallest relative light in the field is largest.
+
+        Parameters
+        ----------
+        move_fibers : bool, optional
+            Whether the fibers are placed for the guide wavelength. Otherwise, they are placed for
+            ``conditions.wavelength``, and the guide wavelength has an effect only on the drift during the exposure.
+
+        Returns
+        -------
+        Quantity
+            The wavelength, between the smallest and the largest of ``wavelengths``.
+        """
+        moved = ("wavelength", "guide_wavelength")[not check_switch(move_fibers, "move_fibers") :]
+        waves = np.concatenate([value.value for value in self.wavelengths.values()])
+
+        def lost(wave):
+            conditions = replace(self.conditions, **dict.fromkeys(moved, wave * u.um))
+            return -replace(self, conditions=conditions).smallest
+
+        limits = {"bounds": (waves.min(), waves.max()), "options": {"xatol": TOLERANCE_UM}}
+        return minimize_scalar(lost, method="bounded", **limits).x * u.um
+
+    def hour_angle_window(self, limit: float) -> u.Quantity:
+        """Return the hour angles between which the smallest relative light in the field is at least a limit.
+
+        Parameters
+        ----------
+        limit : float
+            Smallest permitted relative light, above 0 and below 1.
+
+        Returns
+        -------
+        Quantity, shape (2,)
+            First and last hour angle of the midpoint of the exposure, for the window that contains the meridian, with a
+            tolerance of 0.001 h; NaN if the light on the meridian is below the limit.
+        """
+        limit = _number(limit, "limit", 0, 1)
+
+        def above(hours):
+            try:
+                conditions = self.conditions.at_hour_angle(hours * u.hourangle)
+                return replace(self, conditions=conditions).smallest - limit
+            except InputError:  # the field is not above the horizon
+                return -limit
+
+        def end(sign):
+            for hours in sign * np.arange(0, 12, STEP_H):
+                if above(hours + sign * STEP_H) < 0:
+                    return brentq(above, hours, hours + sign * STEP_H, xtol=TOLERANCE_H)
+            return sign * 12.0
+
+        return np.array([end(-1), end(1)] if above(0.0) >= 0 else [np.nan] * 2) * u.hourangle
+
+    def _plane(self, conditions: ObservingConditions | None) -> TangentPlane:
+        return self.instrument.projection(self.center, self.position_angle, conditions)
+
+    def _centers(self, most: int | None = None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return identifiers, fiber types and centers (mm) of fibers, for at most some of the positioners of a type."""
+        plane, rows, types = self.instrument.focal_plane, [], []
+        order = np.argsort(np.hypot(*plane.arrays.xy.T), kind="stable")
+        for name in self.wavelengths:
+            own = order[[name in row.split("+") for row in plane.fiber_type[order]]]
+            some = np.linspace(0, len(own) - 1, min(len(own), most or len(own))).astype(int)
+            rows += own[some].tolist()
+            types += [name] * len(some)
+        return plane.id[rows], np.array(types), plane.arrays.xy[rows]
+
+    def _light(self, ids, types, points, tile=None) -> QTable:
+        """Return the table of fibers at points (mm)."""
+        placed = self._plane(self.conditions).plain
+        vectors = placed.unproject(points, types)
+        if tile is not None and {"ra", "dec"} <= set(tile.colnames):
+            sky = from_lonlat(*(to_unit(tile[name], u.rad, name) for name in ("ra", "dec")))
+            vectors = np.where(np.isfinite(sky), sky, vectors)
+        # The local plate scale (mm per radian) is the root of the ratio of areas on the focal plane and on the sky.
+        static = self._plane(None).plain
+        inward = -np.copysign(STEP, points)
+        corner, *ends = (static.unproject(points + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
+        scale = STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
+        radius, beta = self.fiber_diameter.to_value(u.mm) / 2, _exponent_of(self.profile, self.beta)
+        waves = np.array([self.wavelengths[name].value for name in types])
+        light, centered = np.zeros(waves.shape), np.zeros(waves.shape)
+        half = self.conditions.exposure_time / 2
+        for moment, weight in zip(*np.polynomial.legendre.leggauss(N_MOMENTS if half > 0 else 1), strict=True):
+            then = self.conditions.shifted(moment * half).without_exposure
+            airmass = 1 / np.sin(self._plane(then).altitude.rad)
+            for name, values in self.wavelengths.items():
+                rows = types == name
+                for k, wave in enumerate(values):
+                    given = then if self.compensated else replace(then, wavelength=wave)
+                    offset = np.hypot(*(self._plane(given).plain.project(vectors[rows], name) - points[rows]).T)
+                    fwhm = seeing_fwhm(self.seeing, wave, airmass).to_value(u.rad) * scale[rows]
+                    light[rows, k] += weight / 2 * _fraction(offset, radius, fwhm, beta)
+                    centered[rows, k] += weight / 2 * _fraction(np.zeros_like(offset), radius, fwhm, beta)
+        x, y = points.T * u.mm
+        names = ("positioner", "fiber_type", "x", "y", "wavelength", "fraction", "relative")
+        return QTable([ids, types, x, y, waves * u.um, light, light / centered], names=names)

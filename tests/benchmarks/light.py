@@ -1,0 +1,104 @@
+"""Numbers of the page on light in fibers (docs/light.rst): ``python tests/benchmarks/light.py``."""
+
+from dataclasses import replace
+
+import astropy.units as u
+import numpy as np
+from astropy.coordinates import SkyCoord
+from measure import smallest
+
+import rfpsurvey as rs
+from rfpsurvey.observing import FiberLight, fiber_fraction
+
+# site, and full width of images (arcsec) that is usual there
+SITES = {
+    "lamost": ("xinglong", 2.0),
+    "sdss_apo": ("apache point", 1.2),
+    "sdss_lco": ("las campanas", 0.9),
+    "moons": ("paranal", 0.8),
+    "desi": ("kitt peak", 1.1),
+    "pfs": ("mauna kea", 0.8),
+}
+BAND = [0.36, 1.0] * u.um
+WAVES = {"BOSS": 0.54 * u.um, "APOGEE": 1.6 * u.um}
+
+
+def conditions_at(site, altitude, **given):
+    """Return conditions, and the center of a field that passes through the zenith, at an altitude (deg)."""
+    conditions = rs.ObservingConditions(site, hour_angle=0 * u.deg, **given)
+    latitude = conditions.site.lat.rad
+    cosine = (np.sin(np.deg2rad(altitude)) - np.sin(latitude) ** 2) / np.cos(latitude) ** 2
+    return conditions.at_hour_angle(np.arccos(cosine) * u.rad), SkyCoord(0 * u.deg, latitude * u.rad)
+
+
+def print_tolerance():
+    """Print the light that is lost at an offset of a tenth of the diameter of the fiber."""
+    for name, (_, fwhm) in SITES.items():
+        instrument = rs.Instrument.preset(name)
+        entry = instrument.values["optics.fiber_diameter"]
+        diameter = (entry["value"] * u.Unit(entry["unit"]) / instrument.plate_scale).to(u.arcsec)
+        lost = []
+        for profile in ("moffat", "gaussian"):
+            near, far = (
+                fiber_fraction(offset * diameter, diameter, fwhm * u.arcsec, profile=profile) for offset in (0, 0.1)
+            )
+            lost.append(f"{profile} {100 * (1 - far / near):.2f} % of {100 * near:.1f} %")
+        print(f"{name:<9} fiber {diameter:.2f}, FWHM {fwhm} arcsec, offset of a tenth of the diameter:", *lost)
+
+
+def print_altitudes():
+    """Print the light of BOSS fibers without a compensator, by altitude and seeing."""
+    for altitude in (80, 60, 45, 30):
+        for seeing, profile in ((1.0, "moffat"), (1.2, "moffat"), (1.5, "moffat"), (1.2, "gaussian")):
+            conditions, center = conditions_at("apache point", altitude, wavelength=WAVES, exposure_time=15 * u.min)
+            light = FiberLight("sdss_apo", center, conditions, {"BOSS": BAND}, seeing * u.arcsec, profile=profile)
+            table = light.table()
+            print(
+                f"sdss_apo  altitude {altitude} deg, seeing {seeing} arcsec, {profile}, 0.36 and 1.0 um: relative",
+                table["relative"].min(axis=0).round(3),
+                "fraction",
+                table["fraction"].min(axis=0).round(3),
+            )
+
+
+def print_windows():
+    """Print the best guide wavelengths, and the windows of hour angles."""
+    for name, waves, band in (("sdss_apo", WAVES, {"BOSS": BAND}), ("lamost", 0.5 * u.um, [0.37, 0.9] * u.um)):
+        site, fwhm = SITES[name]
+        given = {"wavelength": waves, "exposure_time": 15 * u.min}
+        for altitude in (60, 45):
+            conditions, center = conditions_at(site, altitude, **given)
+            light = FiberLight(name, center, conditions, band, fwhm * u.arcsec)
+            best = light.best_guide_wavelength()
+            better = replace(light, conditions=replace(conditions, wavelength=best, guide_wavelength=best))
+            print(
+                f"{name:<9} altitude {altitude} deg: smallest relative light {light.smallest:.3f}, and",
+                f"{better.smallest:.3f} at the best wavelength {best:.3f}",
+            )
+            for guide in (0.4, 0.5, 0.6231, 0.9):
+                other = replace(light, conditions=replace(conditions, guide_wavelength=guide * u.um))
+                print(f"          guide wavelength {guide} um only: {other.smallest:.4f}")
+        for limit in (0.9, 0.8, 0.5):
+            for each in (light, better):
+                window = each.hour_angle_window(limit).value
+                wave = each.conditions.wavelengths_um
+                print(f"{name:<9} light at least {limit} placed for {wave} um: hour angles {window.round(2)} h")
+
+
+def print_times():
+    """Print the times of 10,000 fractions, and of a table."""
+    offset = np.random.default_rng(1).uniform(0, 1, 10_000) * u.arcsec
+    for profile in ("moffat", "gaussian"):
+        seconds = smallest(lambda p=profile: fiber_fraction(offset, 1.5 * u.arcsec, 1.1 * u.arcsec, profile=p), 20)
+        print(f"10,000 fractions, {profile}: {1e3 * seconds:.2f} ms")
+    for name, (site, fwhm) in SITES.items():
+        conditions, center = conditions_at(site, 60, exposure_time=15 * u.min)
+        light = FiberLight(name, center, conditions, BAND, fwhm * u.arcsec)
+        print(f"{name:<9} table of all fibers at two wavelengths: {1e3 * smallest(light.table, 3):.0f} ms")
+
+
+if __name__ == "__main__":
+    print_tolerance()
+    print_altitudes()
+    print_windows()
+    print_times()
