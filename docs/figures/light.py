@@ -17,22 +17,23 @@ offset = np.linspace(0, 1, 101)
 for ratio, color in zip((0.5, 0.75, 1.0), COLORS, strict=False):
     for profile, dash in DASHES.items():
         light = fiber_fraction(offset * u.mm, 1 * u.mm, ratio * u.mm, profile=profile)
-        label = f"FWHM {ratio:g} diameters" if dash == "-" else None
+        label = f"{ratio:g}, Moffat" if dash == "-" else None
         offsets.plot(offset, light, dash, color=color, lw=1.8, label=label)
-offsets.plot([], [], "--", color="0.3", label="Gaussian images")
+offsets.plot([], [], "--", color="0.3", label="Gaussian")
 offsets.axvline(0.1, color="0.5", lw=0.8)
 offsets.annotate("tolerance", (0.12, 0.03), color="0.35", fontsize="small")
 offsets.set(title="Offset of the fiber", xlabel="offset [diameters]", ylabel="fraction of the light", xlim=(0, 1))
 
 conditions = rs.ObservingConditions("apache point", hour_angle=0 * u.deg, exposure_time=15 * u.min)
 center = f"0 {conditions.site.lat.deg}"  # passes through the zenith
-band = np.linspace(0.36, 1.0, 25) * u.um
+band = np.geomspace(0.36, 1.0, 30) * u.um
 fibers = FiberLight("sdss_apo", center, conditions, {"BOSS": band}, 1.2 * u.arcsec)
-for angle, color in zip((1, 2, 3, 4), COLORS, strict=True):
-    field = replace(fibers, conditions=conditions.at_hour_angle(angle * u.hourangle))
-    altitude = field.instrument.projection(field.center, conditions=field.conditions).altitude.deg
+latitude = conditions.site.lat.rad
+for altitude, color in zip((75, 60, 45, 30), COLORS, strict=True):
+    cosine = (np.sin(np.deg2rad(altitude)) - np.sin(latitude) ** 2) / np.cos(latitude) ** 2
+    field = replace(fibers, conditions=conditions.at_hour_angle(np.arccos(cosine) * u.rad))
     light = field.table()["relative"].min(axis=0)
-    waves.plot(band, light, color=color, lw=1.8, label=f"altitude {altitude:.0f} deg")
+    waves.plot(band, light, color=color, lw=1.8, label=f"altitude {altitude} deg")
 waves.axvline(0.54, color="0.5", lw=0.8)
 waves.set(title="BOSS fibers placed for 0.54 um", xlabel="wavelength [um]", ylabel="relative light")
 
@@ -54,3 +55,4 @@ hours.set(title="Edges of the bands", xlabel="hour angle [h]", ylabel="smallest 
 for ax in (offsets, waves, hours):
     ax.set_ylim(0, 1.02)
     ax.legend(fontsize="small", loc="upper right" if ax is offsets else "lower center")
+offsets.get_legend().set_title("FWHM [diameters]", prop={"size": "small"})

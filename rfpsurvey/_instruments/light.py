@@ -208,7 +208,7 @@ class FiberLight:
     ...     "sdss_apo", "10h +32d", conditions, {"BOSS": [0.36, 0.54, 1.0] * u.um}, seeing=1.2 * u.arcsec
     ... )
     >>> light.table()["relative"].min(axis=0).round(3)
-    array([0.656, 0.999, 0.849])
+    array([0.623, 0.999, 0.869])
     """
 
     instrument: Instrument | str
@@ -247,15 +247,15 @@ class FiberLight:
             object.__setattr__(self, name, value)
         self._plane(self.conditions)  # raises an error if the field is below the horizon
 
-    def table(self, tile: QTable | None = None) -> QTable:
+    def table(self, tile: object = None) -> QTable:
         """Return the light that enters each fiber.
 
         Parameters
         ----------
-        tile : QTable, optional
-            Table of a tile (`Tile.table`), whose targets and positions of fibers are used. Targets without coordinates
-            are assumed to be where their fibers are placed. By default, the table has a fiber of each fiber type at the
-            center of each positioner.
+        tile : Tile or QTable, optional
+            Tile, or its table, whose targets and positions of fibers are used. Targets without coordinates are assumed
+            to be where their fibers are placed. By default, the table has a fiber of each fiber type at the center of
+            each positioner.
 
         Returns
         -------
@@ -268,10 +268,11 @@ class FiberLight:
         Raises
         ------
         InputError
-            If the table lacks a column.
+            If the table of the tile lacks a column.
         """
         if tile is not None:
-            check_columns(tile.colnames, ("id", "status", "tip_x", "tip_y"), "tile")
+            tile = getattr(tile, "table", tile)
+            check_columns(getattr(tile, "colnames", ()), ("id", "status", "tip_x", "tip_y"), "tile")
             tile = tile[np.asarray(tile["status"] == "assigned")]
             types = np.asarray(tile["fiber_type"] if "fiber_type" in tile.colnames else [""] * len(tile), dtype=str)
             tile, types = tile[kept := np.isin(types, list(self.wavelengths))], types[kept]
@@ -311,6 +312,8 @@ class FiberLight:
     def hour_angle_window(self, limit: float) -> u.Quantity:
         """Return the hour angles between which the smallest relative light in the field is at least a limit.
 
+        The hour angles replace the time or hour angle of the conditions, and the fibers are placed for each of them.
+
         Parameters
         ----------
         limit : float
@@ -321,6 +324,11 @@ class FiberLight:
         Quantity, shape (2,)
             First and last hour angle of the midpoint of the exposure, for the window that contains the meridian, with a
             tolerance of 0.001 h; NaN if the light on the meridian is below the limit.
+
+        Raises
+        ------
+        InputError
+            If the limit is not between 0 and 1.
         """
         limit = _number(limit, "limit", 0, 1)
 
@@ -366,7 +374,8 @@ class FiberLight:
         corner, *ends = (static.unproject(points + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
         scale = STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
         radius, beta = self.fiber_diameter.to_value(u.mm) / 2, _exponent_of(self.profile, self.beta)
-        waves = np.array([self.wavelengths[name].value for name in types])
+        m = len(next(iter(self.wavelengths.values())))
+        waves = np.array([self.wavelengths[name].value for name in types]).reshape(-1, m)
         light, centered = np.zeros(waves.shape), np.zeros(waves.shape)
         half = self.conditions.exposure_time / 2
         for moment, weight in zip(*np.polynomial.legendre.leggauss(N_MOMENTS if half > 0 else 1), strict=True):
@@ -382,4 +391,7 @@ class FiberLight:
                     centered[rows, k] += weight / 2 * _fraction(np.zeros_like(offset), radius, fwhm, beta)
         x, y = points.T * u.mm
         names = ("positioner", "fiber_type", "x", "y", "wavelength", "fraction", "relative")
-        return QTable([ids, types, x, y, waves * u.um, light, light / centered], names=names)
+        table = QTable([ids, types, x, y, waves * u.um, light, light / centered], names=names)
+        for name in names[2:]:
+            table[name].info.format = ".3f"
+        return table

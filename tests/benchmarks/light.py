@@ -42,47 +42,50 @@ def print_tolerance():
             near, far = (
                 fiber_fraction(offset * diameter, diameter, fwhm * u.arcsec, profile=profile) for offset in (0, 0.1)
             )
-            lost.append(f"{profile} {100 * (1 - far / near):.2f} % of {100 * near:.1f} %")
-        print(f"{name:<9} fiber {diameter:.2f}, FWHM {fwhm} arcsec, offset of a tenth of the diameter:", *lost)
+            lost.append(f"{profile} {100 * (1 - far / near):.1f} % of {100 * near:.0f} %")
+        print(f"{name}, fiber {diameter:.2f}, FWHM {fwhm} arcsec, tolerance:", ", ".join(lost))
 
 
 def print_altitudes():
     """Print the light of BOSS fibers without a compensator, by altitude and seeing."""
-    for altitude in (80, 60, 45, 30):
-        for seeing, profile in ((1.0, "moffat"), (1.2, "moffat"), (1.5, "moffat"), (1.2, "gaussian")):
+    for altitude in (60, 45):
+        for seeing in (1.0, 1.2, 1.5):
             conditions, center = conditions_at("apache point", altitude, wavelength=WAVES, exposure_time=15 * u.min)
-            light = FiberLight("sdss_apo", center, conditions, {"BOSS": BAND}, seeing * u.arcsec, profile=profile)
-            table = light.table()
-            print(
-                f"sdss_apo  altitude {altitude} deg, seeing {seeing} arcsec, {profile}, 0.36 and 1.0 um: relative",
-                table["relative"].min(axis=0).round(3),
-                "fraction",
-                table["fraction"].min(axis=0).round(3),
-            )
+            table = FiberLight("sdss_apo", center, conditions, {"BOSS": BAND}, seeing * u.arcsec).table()
+            blue, red = 100 * (1 - table["relative"].min(axis=0))
+            print(f"sdss_apo, altitude {altitude} deg, seeing {seeing} arcsec: lost {blue:.0f} and {red:.0f} %")
+
+
+def print_quasars():
+    """Print the light of BOSS fibers for 0.4 um relative to fibers for 0.54 um, as for quasars and standard stars."""
+    light = []
+    for wave in (0.4, 0.54) * u.um:
+        given = {"wavelength": wave, "guide_wavelength": 0.54 * u.um, "exposure_time": 15 * u.min}
+        conditions, center = conditions_at("apache point", 60, **given)
+        light.append(FiberLight("sdss_apo", center, conditions, {"BOSS": BAND}, 1.5 * u.arcsec).table()["fraction"])
+    blue, red = 100 * np.median(light[0] / light[1], axis=0) - 100
+    print(f"quasars relative to stars, altitude 60 deg, seeing 1.5 arcsec: {blue:+.0f} and {red:+.0f} %")
 
 
 def print_windows():
     """Print the best guide wavelengths, and the windows of hour angles."""
     for name, waves, band in (("sdss_apo", WAVES, {"BOSS": BAND}), ("lamost", 0.5 * u.um, [0.37, 0.9] * u.um)):
         site, fwhm = SITES[name]
-        given = {"wavelength": waves, "exposure_time": 15 * u.min}
-        for altitude in (60, 45):
-            conditions, center = conditions_at(site, altitude, **given)
-            light = FiberLight(name, center, conditions, band, fwhm * u.arcsec)
-            best = light.best_guide_wavelength()
-            better = replace(light, conditions=replace(conditions, wavelength=best, guide_wavelength=best))
-            print(
-                f"{name:<9} altitude {altitude} deg: smallest relative light {light.smallest:.3f}, and",
-                f"{better.smallest:.3f} at the best wavelength {best:.3f}",
-            )
-            for guide in (0.4, 0.5, 0.6231, 0.9):
-                other = replace(light, conditions=replace(conditions, guide_wavelength=guide * u.um))
-                print(f"          guide wavelength {guide} um only: {other.smallest:.4f}")
-        for limit in (0.9, 0.8, 0.5):
-            for each in (light, better):
-                window = each.hour_angle_window(limit).value
-                wave = each.conditions.wavelengths_um
-                print(f"{name:<9} light at least {limit} placed for {wave} um: hour angles {window.round(2)} h")
+        conditions, center = conditions_at(site, 45, wavelength=waves, exposure_time=15 * u.min)
+        light = FiberLight(name, center, conditions, band, fwhm * u.arcsec)
+        best = light.best_guide_wavelength()
+        better = replace(light, conditions=replace(conditions, wavelength=best, guide_wavelength=best))
+        print(
+            f"{name}, altitude 45 deg: relative light {light.smallest:.2f}, and {better.smallest:.2f} at the best "
+            f"wavelength {best.value:.2f} um"
+        )
+        others = [
+            replace(light, conditions=replace(conditions, guide_wavelength=guide * u.um)).smallest
+            for guide in (0.4, 0.5, 0.6231, 0.9)
+        ]
+        print(f"{name}, other guide wavelengths, same wavelengths of fibers: change {np.ptp(others):.4f}")
+        windows = [each.hour_angle_window(0.8).value[1] for each in (light, better)]
+        print(f"{name}, light of at least 0.8: up to {windows[0]:.1f} h, and {windows[1]:.1f} h at the best wavelength")
 
 
 def print_times():
@@ -100,5 +103,6 @@ def print_times():
 if __name__ == "__main__":
     print_tolerance()
     print_altitudes()
+    print_quasars()
     print_windows()
     print_times()

@@ -226,6 +226,24 @@ def test_targets_without_an_image_at_a_wavelength_lose_all_light(monkeypatch):
     assert fibers.smallest == 0
 
 
+def test_errors_of_the_flux_of_quasars_are_those_of_boss():
+    """BOSS placed fibers on quasars for 0.4 um, and on standard stars for 0.54 um, without a compensator.
+
+    According to Margala et al. 2016, ApJ 831, 157, the flux of quasars was therefore 19 % too large at 0.36 um and 24 %
+    too small at 1.0 um, on average; the light is computed for a typical altitude (60 deg) and seeing (1.5 arcsec).
+    """
+    center = SkyCoord(0 * u.deg, 32.78 * u.deg)
+    placed = (
+        conditions_at(2.391, minutes=15, wavelength=wave * UM, guide_wavelength=0.54 * UM) for wave in (0.4, 0.54)
+    )
+    band = {"BOSS": [0.36, 1.0] * UM}
+    quasars, stars = (FiberLight("sdss_apo", center, each, band, 1.5 * ARCSEC) for each in placed)
+    plane = stars.instrument.projection(center, conditions=stars.conditions)
+    assert plane.altitude.deg == pytest.approx(60, abs=0.1)
+    ratio = np.median(quasars.table()["fraction"] / stars.table()["fraction"], axis=0)
+    np.testing.assert_allclose(ratio, [1.19, 0.76], atol=0.02)
+
+
 @pytest.fixture(scope="module")
 def planned():
     sky = rs.synthetic_catalog("uniform", CENTER, 1.3 * u.deg, n_targets=800, rng=1)
@@ -253,6 +271,25 @@ def test_tables_of_tiles_have_a_row_for_each_assigned_fiber(planned):
     only = replace(fibers, wavelengths={"BOSS": [0.36] * UM}).table(tables["full"])
     assert np.array_equal(only["positioner"], own["id"][own["fiber_type"] == "BOSS"])
     np.testing.assert_array_equal(only["relative"][:, 0], got["relative"][got["fiber_type"] == "BOSS", 0])
+
+
+def test_tiles_without_assigned_fibers_have_empty_tables(planned):
+    parked = planned[1]["full"][planned[1]["full"]["status"] != "assigned"]
+    got = light_at(1).table(parked)
+    assert (len(got), got["relative"].shape) == (0, (0, 3))
+
+
+def test_conditions_with_a_time_have_the_light_of_the_same_hour_angle():
+    """Aberration and precession, which the conditions with a time include, displace images of all wavelengths alike."""
+    conditions = rs.ObservingConditions("apache point", time="2025-02-01T05:00:00", exposure_time=15 * u.min)
+    fibers = replace(light_at(0), conditions=conditions)
+    plane = fibers.instrument.projection(CENTER, conditions=conditions)
+    (altitude, azimuth), latitude = (plane.altitude.rad, plane.azimuth.rad), conditions.site.lat.rad
+    north = np.sin(altitude) * np.cos(latitude) - np.cos(altitude) * np.cos(azimuth) * np.sin(latitude)
+    hours = np.rad2deg(np.arctan2(-np.cos(altitude) * np.sin(azimuth), north)) / 15
+    assert -4 < hours < -3
+    expected = light_at(hours, minutes=15).table()["relative"]
+    np.testing.assert_allclose(fibers.table()["relative"], expected, atol=2e-3)
 
 
 def test_targets_without_coordinates_are_where_their_fibers_are_placed(planned):
