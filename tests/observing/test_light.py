@@ -15,10 +15,8 @@ from rfpsurvey._instruments import light
 from rfpsurvey.observing import FiberLight, fiber_fraction, seeing_fwhm
 
 ARCSEC, UM = u.arcsec, u.um
-CENTER = SkyCoord("10h +32d")
-BAND = {"BOSS": [0.36, 0.54, 1.0] * UM}
-SEEING = 1.2 * ARCSEC
-PROFILES = ("gaussian", "moffat")
+CENTER, SEEING = SkyCoord("10h +32d"), 1.2 * ARCSEC
+BAND, PROFILES = {"BOSS": [0.36, 0.54, 1.0] * UM}, ("gaussian", "moffat")
 
 
 def conditions_at(hours, site="apache point", minutes=0, **options):
@@ -67,12 +65,11 @@ def test_fractions_are_those_of_integration_in_two_dimensions(profile):
     fwhm, beta = 10 ** rng.uniform(-1.5, 1.5, n), rng.uniform(1.5, 6, n)
     offset = np.where(rng.random(n) < 0.1, 0.0, 2 * rng.uniform(0, 1, n) * rng.choice([1, 2], n))
     offset[:50] = 1.0  # images on the edge of the fiber
-    got = [
-        fiber_fraction(o * ARCSEC, 2 * ARCSEC, f * ARCSEC, profile=profile, beta=b)
-        for o, f, b in zip(offset, fwhm, beta, strict=True)
-    ]
-    expected = [integrated(o, 2.0, f, intensity_of(profile, f, b)) for o, f, b in zip(offset, fwhm, beta, strict=True)]
-    assert np.abs(np.subtract(got, expected)).max() < 1e-6
+    got, expected = np.empty(n), np.empty(n)
+    for k, (o, f, b) in enumerate(zip(offset, fwhm, beta, strict=True)):
+        got[k] = fiber_fraction(o * ARCSEC, 2 * ARCSEC, f * ARCSEC, profile=profile, beta=b)
+        expected[k] = integrated(o, 2.0, f, intensity_of(profile, f, b))
+    assert np.abs(got - expected).max() < 1e-6
     assert np.ptp(expected) > 0.99
 
 
@@ -82,6 +79,7 @@ def test_fractions_of_gaussian_images_are_those_of_the_noncentral_chi_square_dis
     sigma = fwhm / np.sqrt(8 * np.log(2))
     got = fiber_fraction(offset * u.mm, 2 * u.mm, fwhm * u.mm, profile="gaussian")
     assert np.abs(got - ncx2.cdf(1 / sigma**2, 2, (offset / sigma) ** 2)).max() < 1e-7
+    assert (got.min(), got.max()) == (0, 1)
 
 
 @pytest.mark.parametrize("beta", [1.1, 2.5, 3.5, 100, np.inf])
@@ -226,6 +224,12 @@ def test_targets_without_an_image_at_a_wavelength_lose_all_light(monkeypatch):
     assert fibers.smallest == 0
 
 
+def test_fibers_are_at_the_centers_of_the_positioners_that_have_their_type():
+    both = light_at(0, [0.5] * UM)
+    assert [np.sum(both.table()["fiber_type"] == name) for name in ("BOSS", "APOGEE")] == [500, 298]
+    assert len(both._centers(light.N_POSITIONS)[0]) == 2 * light.N_POSITIONS
+
+
 def test_errors_of_the_flux_of_quasars_are_those_of_boss():
     """BOSS placed fibers on quasars for 0.4 um, and on standard stars for 0.54 um, without a compensator.
 
@@ -332,8 +336,8 @@ def test_the_best_guide_wavelength_has_the_largest_smallest_light():
 
     scanned = [smallest(wave) for wave in np.arange(0.36, 1.0, 0.02) * UM]
     assert smallest(best) >= max(scanned)
-    kept = fibers.best_guide_wavelength(move_fibers=False)
-    assert 0.36 * UM <= kept <= 1 * UM
+    assert 0.36 * UM <= fibers.best_guide_wavelength(move_fibers=False) <= 1 * UM
+    assert 1.5 * UM < light_at(2, {"APOGEE": [1.5, 1.7] * UM}).best_guide_wavelength() < 1.7 * UM
 
 
 WRONG = [
