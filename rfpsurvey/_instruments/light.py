@@ -1,4 +1,4 @@
-"""Light of point sources that enters fibers, which seeing, dispersion and drift during the exposure reduce."""
+"""Light of point sources that enters the fibers of an instrument, averaged over an exposure of a field."""
 
 from dataclasses import dataclass, replace
 
@@ -8,160 +8,20 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from scipy.optimize import brentq, minimize_scalar
 
-from rfpsurvey._common.units import check_columns, from_lonlat, to_center, to_mm, to_numbers, to_scalar, to_unit
+from rfpsurvey._common.units import check_columns, from_lonlat, to_center, to_mm, to_scalar, to_unit
 from rfpsurvey._instruments.entries import value_of
 from rfpsurvey._instruments.instrument import Instrument, as_instrument
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
+from rfpsurvey._sky.light import checked, exponent_of, fraction_within, seeing_fwhm, to_number
 from rfpsurvey._sky.projection import TangentPlane
-from rfpsurvey.errors import InputError, check_choice, check_fiber_type, check_keywords, check_switch, refusing, short
+from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, check_switch, short
 
-PROFILES = ("gaussian", "moffat")
-# EXPONENT: the error of the quadrature is a small factor times exp(-EXPONENT). FEWEST: smallest number of its points.
-# WIDEST: largest diameter of a fiber in units of the FWHM, so that the number of points is limited.
-EXPONENT, FEWEST, WIDEST, TINY = 20.0, 4, 1e4, 1e-300
 # N_POSITIONS: number of positions in the field at which the smallest light is computed. STEP: length (mm) of the
-# differences from which the local plate scale is computed.
+# differences from which the local plate scale is computed. N_MOMENTS: number of moments in the mean over an exposure
+# (Gauss-Legendre quadrature).
 N_POSITIONS, STEP, N_MOMENTS = 60, 1e-3, 5
-# N_MOMENTS: number of moments in the mean over an exposure (Gauss-Legendre quadrature).
 # Step and tolerance of hour angles (hours), and tolerance of wavelengths (um).
 STEP_H, TOLERANCE_H, TOLERANCE_UM = 0.5, 1e-3, 1e-4
-
-
-def _checked(value: object, unit: object, name: str, low: float = 0.0, closed: bool = False) -> np.ndarray:
-    """Return finite numbers in ``unit`` above ``low``; with ``closed``, ``low`` itself is allowed."""
-    values = to_unit(value, unit, name) if unit else to_numbers(value, name, unitless=True)
-    if not (valid := np.isfinite(values) & ((values > low) | (closed & (values == low)))).all():
-        limits = f"{'at least' if closed else 'above'} {low:g} {unit}".rstrip()
-        raise InputError(f"{name} must be finite and {limits}, got {values[~valid].flat[0]:g}")
-    return values
-
-
-def _number(value: object, name: str, low: float, high: float) -> float:
-    return to_scalar(to_numbers(value, name, unitless=True) * u.one, u.one, name, low=low, high=high)
-
-
-def _exponent_of(profile: str, beta: float) -> float:
-    """Return the exponent of a Moffat profile; it is infinite for a Gaussian profile."""
-    check_choice(profile, PROFILES, "profile")
-    beta = _number(beta, "beta", 1, 1e4)
-    return beta if profile == "moffat" else np.inf
-
-
-@check_keywords
-def fiber_fraction(
-    offset: u.Quantity, diameter: u.Quantity, fwhm: u.Quantity, *, profile: str = "moffat", beta: float = 3.5
-) -> np.ndarray:
-    """Return the fraction of the light of a point source that enters a round fiber.
-
-    Parameters
-    ----------
-    offset : Quantity
-        Distance between the center of the fiber and the center of the image, as an angle or as a length on the focal
-        plane.
-    diameter, fwhm : Quantity
-        Diameter of the fiber, and full width at half maximum of the image, with units of the same kind. The three
-        arrays are broadcast. The diameter must be at most 10,000 times the full width.
-    profile : {"moffat", "gaussian"}, optional
-        Profile of the image.
-    beta : float, optional
-        Exponent of the Moffat profile, above 1. The default value is that of simulations of DESI.
-
-    Returns
-    -------
-    ndarray
-        Fraction of the light, with an absolute error of at most 1e-7 from the quadrature.
-
-    Raises
-    ------
-    InputError
-        If a value is negative or not finite, if units or shapes do not match, or if the profile is unknown.
-
-    Notes
-    -----
-    By the divergence theorem, the fraction is the mean of E(r) over the directions from the image to the edge of the
-    fiber, where E(r) is the fraction of the light within the distance r. The integrand is periodic and analytic, so
-    that the trapezoid rule converges exponentially (:doc:`/light`).
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> import rfpsurvey as rs
-    >>> rs.observing.fiber_fraction([0, 0.2, 1.0] * u.arcsec, 1.5 * u.arcsec, 1.1 * u.arcsec).round(4)
-    array([0.5743, 0.5524, 0.1936])
-    """
-    beta = _exponent_of(profile, beta)
-    unit = u.mm if isinstance(diameter, u.Quantity) and diameter.unit.is_equivalent(u.mm) else u.arcsec
-    offset = _checked(offset, unit, "offset", closed=True)
-    diameter, fwhm = _checked(diameter, unit, "diameter"), _checked(fwhm, unit, "fwhm")
-    shapes = [offset.shape, diameter.shape, fwhm.shape]
-    with refusing("offset, diameter and fwhm must have shapes that can be broadcast", shapes, list):
-        offset, diameter, fwhm = np.broadcast_arrays(offset, diameter, fwhm)
-    if (wide := diameter > WIDEST * fwhm).any():
-        ratio = (diameter[wide] / fwhm[wide]).flat[0]
-        raise InputError(f"diameter must be at most {WIDEST:g} times the fwhm, got {ratio:g} times the fwhm")
-    return _fraction(offset, diameter / 2, fwhm, beta)
-
-
-def _fraction(offset: np.ndarray, radius: np.ndarray, fwhm: np.ndarray, beta: float) -> np.ndarray:
-    """Return the fraction of the light in fibers; the arrays have the same unit, and NaN remains NaN."""
-    # With q = (r / scale)^2, the light within r is 1 - (1 + q)^(1 - beta), or 1 - exp(-q) for an infinite beta.
-    gaussian = np.isinf(beta)
-    area = fwhm**2 / (4 * np.log(2)) if gaussian else fwhm**2 / (4 * np.expm1(np.log(2) / beta))
-    near = area if gaussian else area / (1 + beta)
-    gap, product = radius - offset, radius * offset
-    # Points on the edge have the angle s from the point that is closest to the image. The substitution tan(s / 2) =
-    # stretch tan(t / 2) makes the strip |Im t| < 2 artanh(stretch) the largest one in which Re(r^2) > -near.
-    squared = np.sqrt((gap**2 + near) / ((radius + offset) ** 2 + near))
-    least = min(np.sqrt(np.nanmin(squared, initial=1.0)), 0.99)
-    n = max(FEWEST, int(np.ceil(EXPONENT / (4 * np.arctanh(least)))))
-    total = 0.0
-    for half in (np.arange(n) + 0.5) * np.pi / (2 * n):
-        sine, cosine = squared * np.sin(half) ** 2, np.cos(half) ** 2
-        where = sine / (sine + cosine)
-        q = np.maximum((gap**2 + 4 * product * where) / area, TINY)
-        within = -np.expm1(-q if gaussian else (1 - beta) * np.log1p(q))
-        total = total + within / q * (gap + 2 * offset * where) / (sine + cosine)
-    return np.clip(total * np.sqrt(squared) * radius / (n * area), 0.0, 1.0)
-
-
-@check_keywords
-def seeing_fwhm(seeing: u.Quantity, wavelength: u.Quantity, airmass: float = 1.0) -> u.Quantity:
-    """Return the full width at half maximum of images for a wavelength and an airmass.
-
-    Parameters
-    ----------
-    seeing : Quantity
-        Full width at half maximum at the zenith and at 0.5 um.
-    wavelength : Quantity
-        Wavelength.
-    airmass : float or array_like, optional
-        Airmass, at least 1. The three arrays are broadcast.
-
-    Returns
-    -------
-    Quantity
-        Full width at half maximum, in the unit of ``seeing``.
-
-    Raises
-    ------
-    InputError
-        If a value has a wrong unit, is not finite or is out of range.
-
-    Notes
-    -----
-    Fried (1966, J. Opt. Soc. Am. 56, 1372) derived for turbulence with the Kolmogorov spectrum that images are
-    proportional to the power -1/5 of the wavelength and 3/5 of the airmass.
-
-    Examples
-    --------
-    >>> import astropy.units as u
-    >>> import rfpsurvey as rs
-    >>> rs.observing.seeing_fwhm(1.2 * u.arcsec, [0.36, 0.5, 1.6] * u.um, 1.4).round(3)
-    <Quantity [1.568, 1.468, 1.164] arcsec>
-    """
-    _checked(seeing, u.arcsec, "seeing")
-    wave = _checked(wavelength, u.um, "wavelength")
-    return seeing * (wave / 0.5) ** -0.2 * _checked(airmass, "", "airmass", 1.0, closed=True) ** 0.6
 
 
 @check_keywords
@@ -227,12 +87,12 @@ class FiberLight:
         check_conditions(self.conditions)
         check_switch(self.compensated, "compensated")
         to_scalar(self.seeing, u.arcsec, "seeing", low=0)
-        _exponent_of(self.profile, self.beta)
+        exponent_of(self.profile, self.beta)
         types = instrument.focal_plane.fiber_types
         waves = waves if isinstance(waves, dict) else dict.fromkeys(types, waves)
         for name in waves:
             check_fiber_type(name, types, "fiber type of wavelengths")
-        waves = {name: np.atleast_1d(_checked(value, u.um, "wavelengths")) * u.um for name, value in waves.items()}
+        waves = {name: np.atleast_1d(checked(value, u.um, "wavelengths")) * u.um for name, value in waves.items()}
         shapes = {value.shape for value in waves.values()}
         if len(shapes) != 1 or len(shape := shapes.pop()) != 1 or shape == (0,):
             needed = "wavelengths must be an array of the shape (m,), or a dict with such an array for each fiber type"
@@ -330,7 +190,7 @@ class FiberLight:
         InputError
             If the limit is not between 0 and 1.
         """
-        limit = _number(limit, "limit", 0, 1)
+        limit = to_number(limit, "limit", 0, 1)
 
         def above(hours):
             try:
@@ -373,7 +233,7 @@ class FiberLight:
         inward = -np.copysign(STEP, points)
         corner, *ends = (static.unproject(points + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
         scale = STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
-        radius, beta = self.fiber_diameter.to_value(u.mm) / 2, _exponent_of(self.profile, self.beta)
+        radius, beta = self.fiber_diameter.to_value(u.mm) / 2, exponent_of(self.profile, self.beta)
         m = len(next(iter(self.wavelengths.values())))
         waves = np.array([self.wavelengths[name].value for name in types]).reshape(-1, m)
         light, centered = np.zeros(waves.shape), np.zeros(waves.shape)
@@ -387,8 +247,8 @@ class FiberLight:
                     given = then if self.compensated else replace(then, wavelength=wave)
                     offset = np.hypot(*(self._plane(given).plain.project(vectors[rows], name) - points[rows]).T)
                     fwhm = seeing_fwhm(self.seeing, wave, airmass).to_value(u.rad) * scale[rows]
-                    light[rows, k] += weight / 2 * _fraction(offset, radius, fwhm, beta)
-                    centered[rows, k] += weight / 2 * _fraction(np.zeros_like(offset), radius, fwhm, beta)
+                    light[rows, k] += weight / 2 * fraction_within(offset, radius, fwhm, beta)
+                    centered[rows, k] += weight / 2 * fraction_within(np.zeros_like(offset), radius, fwhm, beta)
         x, y = points.T * u.mm
         names = ("positioner", "fiber_type", "x", "y", "wavelength", "fraction", "relative")
         table = QTable([ids, types, x, y, waves * u.um, light, light / centered], names=names)
