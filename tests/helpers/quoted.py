@@ -172,6 +172,20 @@ SCRIPTS = {
         Quoted("observing", "# (140)", "and # mm for degree 6"),
         Quoted("observing", "# (63)", "# mm for a Fourier series of order 1"),
     ],
+    ("light",): [
+        *(
+            Quoted(
+                "light",
+                f"sdss_apo, altitude {altitude} deg, seeing 1.0 arcsec: lost # ... 1.2 arcsec: lost # ... lost #",
+                f"{text} #, # and # %",
+            )
+            for altitude, text in (("45", "fibers lose"), ("60", "they lose"))
+        ),
+        Quoted("light", "quasars ... 1.5 arcsec: # and # %", "predicts # and # %"),
+        Quoted("light", "45 deg: relative light #, and # at the best", "increases from # to #"),
+        Quoted("light", "of at least 0.8: up to # h", "h instead of # h"),
+        Quoted("light", "of at least 0.8: up to ... h, and # h", "hour angles of up to # h"),
+    ],
     ("observing_models",): [
         Quoted(
             "observing", f"{name} altitude 60 deg, um: ... # ", f"dispersion move targets by ... # mm ({title})", 1e-3
