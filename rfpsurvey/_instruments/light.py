@@ -44,8 +44,8 @@ class FiberLight:
     seeing : Quantity
         Full width at half maximum of images at the zenith and at 0.5 um; see `seeing_fwhm`.
     wavelengths : Quantity, shape (m,), or dict of str to Quantity, optional
-        Wavelengths for which the light is computed, or a dict with m wavelengths for each of some fiber types; fibers of
-        other types are omitted. By default, the edges of the band of each fiber type and the wavelength for which the
+        Wavelengths for which the light is computed, or a dict with m wavelengths for each of some fiber types; other
+        types are omitted. By default, the edges of the band of each fiber type and the wavelength for which the
         fibers are placed, which `Light` of the instrument contains.
     position_angle : Quantity, optional
         Position angle of the +y axis of the focal plane, from north toward east.
