@@ -155,6 +155,8 @@ def run(
                 tell(tiles * (1 + first + len(block_seeds)), new=generations is not None and not is_known)
         source, last = request.source, builder if generations is None else generations[-1].request.builder
         columns = [source.by_row(values) for values in (last.wanted, n_tiles, bits)]
+        if generations is not None and (limits := generations[-1].request.state.limits) is not None:
+            columns[0][limits.row] += limits.expired  # realizations can make these visits before they expire
         table = realization_table(request, seeds, np.concatenate(counts))
         with_visits = with_visits if with_visits is None else source.by_row(with_visits)
         result = SelectionProbabilities(source.ids(), *columns, table, with_visits)

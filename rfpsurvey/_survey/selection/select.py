@@ -151,11 +151,6 @@ def selection_probabilities(
     """
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
-    if is_state and catalog.limits is not None:
-        raise InputError(
-            "selection probabilities must be computed for a survey without targets of single tiles or dates, because "
-            f"realizations do not contain the times of visits, got {len(catalog.limits.row)} of these targets"
-        )
     if survey is not None and "cadences" in survey.provenance["parameters"]:
         if not is_state:
             raise InputError(
