@@ -21,7 +21,6 @@ from rfpsurvey._survey.key_objects import Given, read_tiles
 from rfpsurvey._survey.key_types import Part, build
 from rfpsurvey._survey.plan_file import SurveyKeys, allocator_of, state_in, targets_of, tiles_of
 from rfpsurvey._survey.selection.probabilities import selection_facts
-from rfpsurvey._survey.selection.select import check_without_cadences
 from rfpsurvey.errors import number_of
 
 
@@ -107,8 +106,8 @@ def select(keys: SelectKeys, given: Given) -> None:
     _app.check_outputs(keys.output, paths, (".fits",))
     tiling = read_tiles(keys.tiles, tell=_print.print_text)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
-    check_without_cadences(survey)
-    targets = targets_of(keys, model, tell=_print.print_text)
+    of_catalog = keys if survey is None else replace(survey, catalog=keys.catalog, options=keys.options)
+    targets = targets_of(of_catalog, model, tell=_print.print_text)
     if survey is not None:
         visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}
         targets = state_in(place, catalog=targets, **visits)

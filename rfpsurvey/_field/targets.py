@@ -250,11 +250,14 @@ class FieldBuilder:
             self.spends = None if self._several is None and marked is None else self._science
         visits = source.by_slot("visits") if visits is None else source.to_slots(to_visits(visits, len(source)))
         visits = np.ones(len(source), dtype=np.uint8) if visits is None else visits
-        self._begin(visits, made, dropped, source.by_slot("visits") if has_cadences else visits)
+        self._has_cadences = has_cadences
+        self._begin(visits, made, dropped)
 
-    def _begin(self, visits, made, dropped, available) -> None:
-        """Set the numbers of visits; science targets with ``available`` visits can be used in their other roles."""
+    def _begin(self, visits, made, dropped) -> None:
+        """Set the numbers of visits."""
         to_slots = self.source.to_slots
+        # science targets with available visits can be used in their other roles
+        available = self.source.by_slot("visits") if self._has_cadences else visits
         if self.is_required is not None:
             raised = self.is_required & (visits == 0)
             raised = raised if dropped is None else raised & ~to_slots(dropped)
@@ -289,7 +292,7 @@ class FieldBuilder:
             The rules.
         """
         builder, visits = copy(self), self.source.to_slots(visits)
-        builder._begin(visits, made, dropped, visits)
+        builder._begin(visits, made, dropped)
         return builder
 
     def spending(self, slot: np.ndarray) -> np.ndarray:

@@ -65,19 +65,53 @@ def rows_by_class(counts: dict[str, tuple[list[str], np.ndarray]]) -> list[tuple
     return rows
 
 
-class Bookkeeping:
+def windows_of(request, n: int = 1) -> Windows | None:
+    """Return the windows before the first visit, with ``n`` elements for each slot; None without cadences."""
+    if request.cadences is None:
+        return None
+    cadences, row = request.cadences
+    return Windows(cadences, np.repeat(request.source.to_slots(row), n), request.visit_days, request.brightness)
+
+
+def job_without(request, tile: int, left: np.ndarray, closed: np.ndarray) -> Job:
+    """Return the job of a tile for remaining visits ``left``, of which those of the slots ``closed`` are not used."""
+    kept, left[closed] = left[closed], 0
+    job = request.job(tile, left)
+    left[closed] = kept
+    return job
+
+
+class Remaining:
+    """The remaining visits ``left``, and the windows of cadences or None; both have the same number of elements."""
+
+    left: np.ndarray
+    windows: Windows | None
+
+    def allows(self, index: np.ndarray, tile: int) -> np.ndarray:
+        """Return whether a visit on a tile counts for each element: visits remain, and the window is open."""
+        is_left = self.left.reshape(-1)[index] > 0
+        if self.windows is not None:
+            is_left[is_left] = self.windows.state(index[is_left], tile)[0]
+        return is_left
+
+    def spend(self, index: np.ndarray, tile: int) -> np.ndarray:
+        """Reduce the remaining visits of the elements that a tile observes; return that of each visit that counts."""
+        index = index if self.windows is None else self.windows.enter(index, tile)
+        np.subtract.at(self.left.reshape(-1), index, 1)
+        return index
+
+
+class Bookkeeping(Remaining):
     """Record of the visits of each target; tiles that share no target can be recorded in any order.
 
     The *slot* of a target is its index in the arrays of ``request.builder`` and of this class.
     """
 
     def __init__(self, request):
-        builder, n_passes, self._number, self.windows = request.builder, len(request.passes), request.number, None
-        if request.cadences is not None:
-            cadences, row = request.cadences
-            self.windows = Windows(cadences, request.source.to_slots(row), request.visit_days, request.brightness)
-            if request.state is not None:
-                self.windows.begin_as(request.state.windows, request.source.to_slots)
+        builder, n_passes, self._number = request.builder, len(request.passes), request.number
+        self.windows = windows_of(request)
+        if self.windows is not None and request.state is not None:
+            self.windows.begin_as(request.state.windows, request.source.to_slots)
         self._builder, self.wanted, self.left = builder, builder.wanted, builder.left.copy()
         self.spends = np.broadcast_to(np.True_, len(self.left)) if builder.spends is None else builder.spends
         self.n_observed = np.zeros(len(self._number), dtype=np.int64)
@@ -109,24 +143,12 @@ class Bookkeeping:
         if ((self.flags[closed] & REACHED) == 0).any():  # these targets are in the field, although no visit is possible
             reach = reach_of(job)
             self.flags[closed] |= flags_of(reach.pairs.covered, reach.applied.excluded)[is_closed]
-        left, self.left[closed] = self.left[closed], 0
-        job = request.job(tile, self.left)
-        self.left[closed] = left
+        job = job_without(request, tile, self.left, closed)
         if request.is_planned:
             return job
         closing = self.windows.state(job.field.slot, tile)[1]
         order = np.unique(closing, return_inverse=True)[1].reshape(-1)
         return _with_subpriority(job, -order.astype(float))
-
-    def allows(self, slot: np.ndarray, tile: int) -> np.ndarray:
-        """Return whether a visit of each target on a tile counts: visits remain, and its window is open."""
-        return (self.left[slot] > 0) & (True if self.windows is None else self.windows.state(slot, tile)[0])
-
-    def spend(self, slot: np.ndarray, tile: int) -> np.ndarray:
-        """Reduce the remaining visits of targets that a tile observes; return the target of each visit that counts."""
-        slot = slot if self.windows is None else self.windows.enter(slot, tile)
-        np.subtract.at(self.left, slot, 1)
-        return slot
 
     def enter(self, tile: int, job: Job, done: Done) -> None:
         """Record the visits of the tile in row ``tile``."""

@@ -211,8 +211,8 @@ class Cadences:
 class Windows:
     """The epochs that targets have completed, and their open windows, while the tiles are planned.
 
-    ``row`` is the row of the cadence of each target, in the order of slots, or -1. ``days`` is the time (MJD) of each
-    tile.
+    ``row`` is the row of the cadence of each target, in the order of slots, or -1. In realizations, an element stands
+    for a target in a realization. ``days`` is the time (MJD) of each tile.
     """
 
     def __init__(self, cadences: Cadences, row: np.ndarray, days: np.ndarray, brightness: np.ndarray):
@@ -273,6 +273,10 @@ class Windows:
         self._previous[slot], self._made[slot] = self._begin[slot], 0
         self._epoch[slot] += 1
         return np.repeat(slot, needed)
+
+    def observe(self, slot: np.ndarray, tile: int) -> None:
+        """Record the exposures of an observed tile, except those of targets whose window was not open."""
+        self.enter(slot[self.state(slot, tile)[0]], tile)
 
     def begin_as(self, other: "Windows", to_slots: Callable) -> None:
         """Begin with the epochs of all targets of another state; ``to_slots`` brings them into the order of slots."""

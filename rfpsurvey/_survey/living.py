@@ -244,7 +244,7 @@ class Living:
         **options : object
             The parameters ``folder``, ``resume``, ``executor``, ``progress`` and ``rng`` of
             `rfpsurvey.selection_probabilities`, and parameters that the plan file cannot contain, such as a function
-            as ``allocator``.
+            as ``allocator``, or cadences in another column than ``cadence`` as ``visits``.
 
         Returns
         -------

@@ -253,7 +253,6 @@ def prepare_request(
     if cadences is not None and joint is not None:
         check_for_cadences(joint)
     elif joint is not None and joint.objective != "visits":
-        check_categories(joint, source.by_slot("category"))
         for name in ["early"] * joint.early + ["subpriority"] * (asked.subpriority is not None):
             warn_no_effect(name, f"with the objective {joint.objective!r}")
     if is_table(tiles):
@@ -264,6 +263,8 @@ def prepare_request(
     others |= {"epoch": None, "reference": used} if epoch is None else {"epoch": str(epoch), "reference": None}
     others |= {"visits": visits, "passes": passes, "state": state, "given": given if state is None else state.first}
     request = make_request(source, tiling, instrument, options, **others)
+    if joint is not None and cadences is None:
+        check_categories(joint, source.by_slot("category"), request.builder.wanted)
     if cadences is not None and state is None:
         warn_of_cadences(cadences[0], np.where(visits > 0, cadences[1], -1), request.days, request.brightness)
     if request.source.has_repeated_ids:

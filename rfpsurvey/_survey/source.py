@@ -228,8 +228,15 @@ def columns_of(catalog, visits: object) -> dict:
 
 def visits_without_rule(state) -> np.ndarray:
     """Return the number of visits of each target that is requested in a `SurveyState` before its rule is applied."""
+    if state.cadences is not None:
+        return state.cadences.visits(state.catalog, required_in(state.catalog, state.given[2]))
     # recorded numbers of visits replace the given numbers in the catalog
     return columns_of(state.catalog, None if state.events.target_tables else state.given[1])["requested"]
+
+
+def required_in(catalog: Catalog | PartitionedCatalog, ids: list[str] | None) -> np.ndarray | None:
+    """Return whether each target is one of the required targets with the given ids; None if no ids are given."""
+    return None if ids is None else np.isin(column_of(catalog, "id").astype(str), ids)
 
 
 def is_science(catalog: Catalog | PartitionedCatalog) -> np.ndarray:

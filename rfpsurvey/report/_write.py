@@ -17,7 +17,7 @@ from rfpsurvey._studies.compare_instruments import PARTS
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._survey.columns import survey_facts
 from rfpsurvey._survey.history.status import status_facts
-from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, selection_facts
+from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, part_of, selection_facts
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, number_of, refusal
@@ -201,8 +201,8 @@ def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
     axes = plot_selection(selection)
     axes.set_title("")
     model = {"model": s["model"]} if s.get("model") else {}
-    table = _first(selection).table
-    table.remove_column("BITWEIGHTS")
+    table = part_of(selection, slice(MOST_TARGETS)).table
+    table.remove_columns([name for name in table.colnames if table[name].ndim > 1])
     targets = Rows("Targets in the order of the catalog.", table, where, len(selection) - len(table))
     realizations = Rows("Realizations.", selection.realizations, "SelectionProbabilities.realizations")
     sections = [
@@ -217,12 +217,6 @@ def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
         f"realizations, {s['n_sometimes_observed']} in some, and {s['n_never_observed']} in none."
     )
     return Page("Selection", f"Selection probabilities with {name}", lead, highlights, sections, selection.provenance)
-
-
-def _first(selection):
-    """Return the selection probabilities of the first targets."""
-    columns = ("target_id", "requested", "n_tiles", "bits")
-    return replace(selection, **{name: getattr(selection, name)[:MOST_TARGETS] for name in columns})
 
 
 PAGES: dict[type, Callable[..., Page]] = {

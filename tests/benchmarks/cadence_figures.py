@@ -1,14 +1,18 @@
 """Measure completed cadences on a field of 30 dated SDSS-V tiles with the published cadences of SDSS-V.
 
 RFPSURVEY_TEST_DATA=... python tests/benchmarks/cadence_figures.py [--targets 1500] [--tiles 30] [--iterations 10]
+    [--realizations 0]
 
 Each allocator plans the tiles in the order of their dates; targets whose windows close first have precedence, or, for
 comparison, random subpriorities decide. The bound is the number of targets whose cadences the dates and the brightness
 of the tiles allow, if every target in the field could be observed on every tile. The joint plan has bounds of its own.
+With --realizations, the script prints only the time per realization of selection probabilities, with the cadences and
+with the same numbers of visits at any time.
 """
 
 import os
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from time import process_time
 
 import astropy.units as u
@@ -40,13 +44,30 @@ def bound(cadences, row, tiling):
     days = np.asarray(tiling.table["mjd"])
     windows = Windows(cadences, row, days, np.asarray(tiling.table["skybrightness"]))
     for tile in np.argsort(days, kind="stable").tolist():
-        slot = np.arange(len(row))
-        windows.enter(slot[windows.state(slot, tile)[0]], tile)
+        windows.observe(np.arange(len(row)), tile)
     return windows.n_epochs
 
 
+def time_realizations(catalog, instrument, tiling, cadences, n):
+    """Print the time per realization of each allocator with and without cadences."""
+    for allocator in ("nearest", "lamost_rule", "repair"):
+        seconds, own = [], rs.AllocationOptions(allocator, subpriority=1)
+        for visits in (cadences, cadences.visits(catalog)):
+            with TemporaryDirectory() as folder:
+                plan = rs.plan_survey(
+                    catalog, instrument, tiling, visits=visits, allocator=own, folder=f"{folder}/plan"
+                )
+                plan.select(1)  # compiles the kernels
+                begin = process_time()
+                found = plan.select(n)
+                seconds.append((process_time() - begin) / n)
+            visits = found.summary["n_observed"] / n
+            print(f"{allocator:12} {1e3 * seconds[-1]:.1f} ms per realization, {visits:.0f} visits")
+        print(f"{allocator:12} ratio {seconds[0] / seconds[1]:.2f}")
+
+
 def main():
-    options = arguments(__doc__, targets=1500, tiles=30, iterations=10)
+    options = arguments(__doc__, targets=1500, tiles=30, iterations=10, realizations=0)
     table = Table.read(Path(os.environ["RFPSURVEY_TEST_DATA"]) / "sdssv_rules/cadences.ecsv")
     table = table[table["n_epochs"] > 0]
     rng, apo = np.random.default_rng(1), rs.Instrument.preset("sdss_apo")
@@ -54,6 +75,9 @@ def main():
     sky = rs.synthetic_catalog("uniform", CENTER, 1.4 * u.deg, n_targets=options.targets, rng=2)
     name = rng.choice(np.asarray(table["cadence"]), len(sky))
     catalog = rs.Catalog(sky.coord, extra=QTable({"cadence": name}))
+    if options.realizations:
+        time_realizations(catalog, apo, tiling, cadences, options.realizations)
+        return
     n = cadences.visits(catalog)
     row = cadences.of(catalog)
     whole = np.array([len(str(table["n_exp"][k]).split()) for k in row])

@@ -42,6 +42,30 @@ def test_a_survey_with_cadences_is_recorded_planned_again_and_shown(call, refuse
     names = ("finished", "not observed in time", "not yet observed")
     assert [lines[name] for name in names] == [["4"], ["2"], ["10"]]
     call("status {} --verify", folder)
-    assert "computed for a survey without cadences" in refused("select {} --output s.fits", folder)
     text = refused("survey {} --replan --set rule.retries=1", folder)
     assert text == "rfpsurvey: cadences must be used without catalog.visits and rule, got several of them"
+
+
+def test_probabilities_of_a_survey_with_cadences(call, refused, planned, tmp_path):
+    folder, night = planned
+    call("record {} {}", folder, night)
+    call("survey {} --replan", folder)
+    words = "select {} --n-realizations 3 --output {} --report {}"
+    lines = call(words, folder, tmp_path / "s.fits", tmp_path / "s.html").lines
+    found = rs.SelectionProbabilities.read(tmp_path / "s.fits")
+    with pytest.warns(rs.RfpsurveyWarning, match="planned without the option subpriority"):
+        own = rs.Survey.read(folder).select(3)
+    assert found.table.colnames[-3:] == ["n_with_visits", "n_complete", "probability_complete"]
+    for name in found.table.colnames:
+        np.testing.assert_array_equal(found.table[name], own.table[name], err_msg=name)
+    mean = found.probability_complete[found.requested > 0].mean()
+    assert float(lines["mean completion probability"][0]) == pytest.approx(mean, rel=1e-3)
+    assert "probability complete" in (tmp_path / "s.html").read_text()
+    for text, message in {
+        "--set catalog.visits=2": "visits must be the Cadences of the survey in",
+        "--set cadences=other.ecsv": "unknown key 'cadences'",
+        "--allocator optimal": "--allocator must be 'repair', as for the survey, got 'optimal'",
+        "--allocator joint": "joint plan need a survey of which no tile was observed, got observed tiles",
+    }.items():
+        assert message in refused(f"select {{}} --output {{}} {text}", folder, tmp_path / "t.fits")
+    assert not (tmp_path / "t.fits").exists()

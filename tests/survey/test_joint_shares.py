@@ -94,7 +94,7 @@ def test_wrong_shares_are_refused():
     for given, what in ((catalog, "nobody=2"), (replace(catalog, category=None), "category")):
         joint = rs.JointOptions(objective="finished", share=what, allocator=options, time_limit=5 * u.s)
         text = (
-            r"share must name categories of targets in the fields \(a, b, c\), got nobody"
+            r"share must name categories of targets with requested visits \(a, b, c\), got nobody"
             if given is catalog
             else "requires a catalog with categories"
         )
@@ -102,10 +102,18 @@ def test_wrong_shares_are_refused():
             rs.plan_survey(given, instrument, tiles, allocator=joint)
 
 
-def test_a_catalog_without_categories_is_refused_before_anything_is_written(tmp_path):
-    instrument, tiles, catalog, options = with_categories(3)
-    plain, folder = replace(catalog, category=None), tmp_path / "s"
-    joint = rs.JointOptions(objective="finished", share="category", allocator=options)
-    given = {"allocator": joint, "folder": folder}
-    refused("share requires a catalog with categories", rs.plan_survey, plain, instrument, tiles, **given)
+@pytest.mark.parametrize(
+    ("has_categories", "asked", "message"),
+    [
+        (False, {"objective": "finished", "share": "category"}, "share requires a catalog with categories"),
+        (True, {"objective": "finished", "share": "a=2 d=1 e=1"}, r"share must name categories .*, got d, e"),
+        (True, {"objective": "a:1=1"}, r"values of all categories of targets \(a, b, c\) and of no others, got a$"),
+        (True, {"objective": "a:1=1 b:1=1 c:1=1 d:1=1"}, r"and of no others, got a, b, c, d"),
+    ],
+)
+def test_unknown_categories_are_refused_before_anything_is_written(has_categories, asked, message, tmp_path):
+    instrument, tiles, catalog, options = with_categories(12)
+    catalog, folder = catalog if has_categories else replace(catalog, category=None), tmp_path / "s"
+    joint = rs.JointOptions(**asked, inform=pytest.fail, allocator=options)
+    refused(message, rs.plan_survey, catalog, instrument, tiles, allocator=joint, folder=folder)
     assert not folder.exists()

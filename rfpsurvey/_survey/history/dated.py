@@ -82,6 +82,5 @@ def replay_windows(events: Events, states: TileStates, cadences: Cadences, catal
     done = [event for event in map(states.state_of, states.rows()) if event.state == TileState.DONE]
     for event in sorted(done, key=lambda event: days[event.row]):
         target, good, _ = visits_of(event, events.observed(event)[0])
-        target = target[good]
-        windows.enter(target[windows.state(target, event.row)[0]], event.row)
+        windows.observe(target[good], event.row)
     return windows

@@ -151,11 +151,13 @@ class SurveyState:
             if visits is not None:  # recorded numbers of visits replace these numbers
                 catalog, visits = replace(catalog, visits=to_visits(visits, len(catalog))), None
             catalog, dropped = apply_changes(catalog, events.target_tables, until, usual)
-        is_required = None if required is None else np.isin(_source.column_of(catalog, "id").astype(str), required)
+        is_required = _source.required_in(catalog, required)
         visits = visits if cadences is None else cadences.visits(_source.in_memory(catalog, "cadences"), is_required)
         columns = _source.columns_of(catalog, visits)
         replayed = replay(events, states, columns["id"]) if visited else Replay(len(catalog))
-        windows = None if cadences is None else replay_windows(events, states, cadences, catalog, tiles)
+        windows = None
+        if cadences is not None:
+            windows = replay_windows(events, states if visited else TileStates(()), cadences, catalog, tiles)
         made = replayed.made if windows is None else windows.counts()[:, 1].astype(np.uint8)
         made = made if columns["kind"] is None else made * has_role(columns["kind"], "science")
         wanted, priority = rule.apply(

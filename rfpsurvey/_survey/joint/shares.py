@@ -11,6 +11,7 @@ from scipy.sparse import csr_array, hstack, vstack
 
 from rfpsurvey._assignment.solver import maximize, with_errors
 from rfpsurvey._assignment.weighted import WeightedProblem
+from rfpsurvey._survey.joint.values import values_in
 from rfpsurvey.errors import InputError, listed
 
 COLUMN, UNITS = "category", 10_000
@@ -38,14 +39,29 @@ def weights_in(text: str) -> dict[str, float]:
     return weights
 
 
-def check_categories(joint, category: np.ndarray | None) -> None:
-    """Raise an error if options of a joint plan need categories, and there are none."""
+def check_categories(joint, category: np.ndarray | None, wanted: np.ndarray) -> None:
+    """Raise an error if options of a joint plan need categories that the targets do not have.
+
+    ``wanted`` is the requested number of visits of each science target.
+    """
     for name, is_given in {
         "share requires": joint.share,
         "values of categories require": ":" in joint.objective,
     }.items():
         if is_given and category is None:
             raise InputError(f"{name} a catalog with categories, got a catalog without the column category")
+    names = set() if category is None else {*category[wanted > 0].tolist()}
+    if joint.share and (unknown := sorted({*weights_in(joint.share)} - names)):
+        raise InputError(
+            f"share must name categories of targets with requested visits ({listed(sorted(names), 8)}), got "
+            f"{listed(unknown)}"
+        )
+    values = {*values_in(joint.objective)} if ":" in joint.objective else {""}
+    if "" not in values and not names <= values <= {*category.tolist()}:
+        raise InputError(
+            "objective must contain values of all categories of targets "
+            f"({listed(sorted(names), 8)}) and of no others, got {listed(sorted(values), 8)}"
+        )
 
 
 @dataclass(frozen=True, eq=False)

@@ -110,7 +110,7 @@ def steps_of(network: Network, objective: str, builder, category: np.ndarray | N
         numbers = network.visits[goals].astype(np.int64)
         return Steps(starts_of(goals, n), numbers, np.ones(len(goals)), np.zeros(n), goals)
     values, slots = values_in(objective), network.slot[goals]
-    names = np.full(len(goals), "") if "" in values else _categories(values, category, slots)
+    names = np.full(len(goals), "") if "" in values else category[slots]
     before = (builder.wanted.astype(np.int64) - builder.left)[slots]
     base, rows = np.zeros(n), []
     for name, table in values.items():
@@ -156,14 +156,3 @@ def worth_of(objective: str, visits: np.ndarray, category: np.ndarray | None) ->
 def _worth(table: dict[int, float]) -> np.ndarray:
     """Return the values of no visits, and of at least each number of visits of a table."""
     return np.append(0.0, [table[number] for number in sorted(table)])
-
-
-def _categories(values: dict, category: np.ndarray, slots: np.ndarray) -> np.ndarray:
-    """Return the category of each slot; raise an error if the values are not those of categories of the catalog."""
-    names = category[slots]
-    if not {*names.tolist()} <= {*values} <= {*category.tolist()}:
-        raise InputError(
-            "objective must contain values of all categories of targets "
-            f"({listed(np.unique(names).tolist(), 8)}) and of no others, got {listed(sorted(values), 8)}"
-        )
-    return names

@@ -13,6 +13,7 @@ import numpy as np
 from rfpsurvey._field.targets import FieldBuilder
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._survey.bookkeeping import windows_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.selection.work import BlockDone, Failures, State, to_bits, to_mask
@@ -126,6 +127,8 @@ class History:
     def __init__(self, n_targets: int, n_realizations: int):
         self.counts = np.zeros((n_realizations, 2), dtype=np.int64)
         self.made, self.failed = np.zeros((2, n_realizations, n_targets), dtype=np.uint8)
+        self.counted = self.made
+        """Number of visits that count before the last generation: with cadences, those of complete epochs."""
         self._visits: dict[tuple[int, int], tuple] = {}
         self._added: dict[int, Observation] = {}
 
@@ -159,26 +162,32 @@ class History:
         for row in {*done} - {*self._added}:
             self._added[row] = done[row]
             self._add(row, done[row], 1)
-        state, size, to_slots = State(request.builder, len(self.counts)), len(request.source), request.source.to_slots
+        n, size, to_slots = len(self.counts), len(request.source), request.source.to_slots
+        slot_of = np.empty(size, dtype=np.int64)
+        slot_of[to_slots(np.arange(size))] = np.arange(size)
+        state = State(request.builder, n, windows_of(request, n))
+        if state.windows is not None:
+            for row in sorted(done, key=lambda row: (request.visit_days[row], row)):
+                targets, _, good, _ = self._visits[row, done[row][0]]
+                state.windows.observe(state.index_of(slot_of[targets])[to_bits(good[done[row][1]], n)], row)
+            self.counted = request.source.by_row(state.windows.counts()[:, 1].astype(np.uint8).reshape(size, n)).T
         state.counts[:, :2] = self.counts
-        for r, (made, failed) in enumerate(zip(self.made[:, :size], self.failed[:, :size], strict=True)):
+        for r, (made, failed) in enumerate(zip(self.counted[:, :size], self.failed[:, :size], strict=True)):
             state.builder = generation.targets_after(made, failed)
             state.left[:, r] = state.builder.left
             state.counts[r, 2] = made.sum() - state.builder.surplus.sum()
         state.first = state.left.copy()
-        slot_of = np.empty(size, dtype=np.int64)
-        slot_of[to_slots(np.arange(size))] = np.arange(size)
         for row in request.state.begun:
             targets, mask, _, counts = self._visits[row, generation.kept[row][0]]
             slot = slot_of[targets]
-            state.record(slot, mask & to_mask(state.left[slot].T > 0), counts)
+            state.record(row, slot, mask & to_mask(state.open_left(slot, row).T > 0), counts)
         state.restore(state.left, state.counts)
         return state
 
 
 def plan_history(
     generations: list[Generation], n: int, plan_rounds: Callable[..., Iterator]
-) -> tuple[np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
     """Plan all generations for the realizations of a block.
 
     Parameters
@@ -197,6 +206,8 @@ def plan_history(
         For each target, in the order of slots, the realizations that observe it.
     counts : ndarray of int, shape (n, 3)
         Numbers of assigned positioners, lost targets and visits in each realization.
+    visits : ndarray of uint8, shape (n_targets, n), or None
+        Number of visits of each target, in the order of slots, that count in each realization; None without cadences.
     """
     history = History(len(generations[-1].request.source), n)
     for generation in generations:
@@ -206,4 +217,5 @@ def plan_history(
                 used = now.spends[job.field.slot] & (done.mask > 0)  # visits to standards do not count
                 history.keep(tile, generation, job.field.row, done, used)
     to_slots = generation.request.source.to_slots
-    return now.masks() | to_mask(to_slots(made) > 0 for made in history.made), now.counts
+    mask = now.masks() | to_mask(to_slots(made) > 0 for made in history.counted)
+    return mask, now.counts, None if now.windows is None else now.made() + to_slots(history.counted.T)

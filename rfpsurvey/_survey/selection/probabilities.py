@@ -9,43 +9,13 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._common import io as _io
-from rfpsurvey._common.descriptions import Column, Fact, describe, facts_of, table_of, to_html
+from rfpsurvey._common.descriptions import Column, describe, facts_of, to_html
 from rfpsurvey._common.folder import check_file, read_index
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_visits
-from rfpsurvey._field.table import TARGET_ID
+from rfpsurvey._survey.selection.columns import OF_CADENCES, SELECTION_FACTS, STORED, TARGETS
 from rfpsurvey.errors import InputError, check_whole, number_of, short
 
-TARGETS = table_of(
-    TARGET_ID,
-    Column("requested", "number of requested visits"),
-    Column("n_tiles", "number of tiles in which at least one positioner reaches the target"),
-    Column("BITWEIGHTS", "bit r is 1 if realization r observed the target"),
-    Column("n_observed", "number of realizations that observed the target"),
-    Column("probability", "n_observed divided by the number of realizations"),
-    Column("probability_error", "standard error of the column probability"),
-    Column("weight", "inverse probability (n_realizations+1)/(n_observed+1)"),
-    Column("weight_error", "standard error of the column weight"),
-    Column("unreachable", "whether no positioner reaches the target in any tile"),
-    Column("never_observed", "whether no realization observed the target"),
-)
-STORED = dict.fromkeys(("n_tiles", "n_observed"), np.int32)
-STORED |= dict.fromkeys(("probability", "probability_error", "weight", "weight_error"), np.float32)
-"""Data types of columns in tables and files."""
-SELECTION_FACTS = (
-    Fact("n_realizations", "realizations", zero=True),
-    Fact("n_tiles", "tiles", zero=True),
-    Fact("n_targets", "targets with requested visits", zero=True),
-    Fact("n_unreachable", "targets in reach of no tile", zero=True),
-    Fact("n_never_observed", "targets never observed", zero=True),
-    Fact("n_sometimes_observed", "targets sometimes observed", zero=True),
-    Fact("n_always_observed", "targets always observed", zero=True),
-    Fact("mean_probability", "mean selection probability", zero=True),
-    Fact("n_assigned", "assigned fibers, all realizations", zero=True),
-    Fact("n_lost", "lost to collisions", "n_assigned", zero=True),
-    Fact("n_observed", "visits observed, all realizations", zero=True),
-)
-"""The numbers of the summary of selection probabilities that are shown."""
 COLUMNS = ("target_id", "requested", "n_tiles", "BITWEIGHTS")
 NAMES = "SELECTION", "REALIZATIONS"
 PER_WORD = 64
@@ -74,6 +44,9 @@ class SelectionProbabilities:
         positioners with a target, summed over all tiles), ``n_lost`` (number of targets lost to collisions), and
         ``n_observed`` (number of visits to science targets, except targets lost to collisions). The ``meta`` of
         the table contains ``summary`` and ``provenance``.
+    n_with_visits : ndarray of int, shape (n_targets, n_most + 1), optional
+        With cadences, the number of realizations in which 0, 1, ..., ``n_most`` visits of each target count. Only the
+        visits of complete epochs count.
 
     See Also
     --------
@@ -95,6 +68,7 @@ class SelectionProbabilities:
     n_tiles: np.ndarray
     bits: np.ndarray
     realizations: QTable
+    n_with_visits: np.ndarray | None = None
 
     @property
     def n_realizations(self) -> int:
@@ -135,6 +109,22 @@ class SelectionProbabilities:
     def weight_error(self) -> np.ndarray:
         """Standard error of `weight`, by first-order propagation of `probability_error`, shape (n_targets,)."""
         return self.weight**2 * self.probability_error
+
+    @property
+    def n_complete(self) -> np.ndarray | None:
+        """Number of realizations that complete the cadence of each target, shape (n_targets,); None without cadences.
+
+        This is 0 for targets without requested visits.
+        """
+        if self.n_with_visits is None:
+            return None
+        whole = self.requested[:, None] <= np.arange(self.n_with_visits.shape[1])
+        return np.where(self.requested > 0, (self.n_with_visits * whole).sum(axis=1), 0)
+
+    @property
+    def probability_complete(self) -> np.ndarray | None:
+        """Fraction of the realizations that complete the cadence of each target; None without cadences."""
+        return None if self.n_with_visits is None else self.n_complete / self.n_realizations
 
     @property
     def unreachable(self) -> np.ndarray:
@@ -228,7 +218,11 @@ class SelectionProbabilities:
             "n_always_observed": int(always.sum()),
             "n_sometimes_observed": n - int(never.sum()) - int(always.sum()),
             **{name: int(table[name].sum()) for name in ("n_assigned", "n_lost", "n_observed")},
-            "mean_probability": float(self.probability[asked].mean()) if n else float("nan"),
+            **{
+                name: float(values[asked].mean()) if n else float("nan")
+                for name in ("mean_probability", "mean_probability_complete")
+                if (values := getattr(self, name.removeprefix("mean_"))) is not None
+            },
         }
 
     @property
@@ -242,16 +236,20 @@ class SelectionProbabilities:
 
         Columns: ``target_id``, ``requested``, ``n_tiles``, ``BITWEIGHTS`` (the bits as 64-bit signed integers),
         ``n_observed``, ``probability``, ``probability_error``, ``weight``, ``weight_error``, ``unreachable`` and
-        ``never_observed``.
+        ``never_observed``; with cadences also ``n_with_visits``, ``n_complete`` and ``probability_complete``.
         """
-        return describe(self._rows(slice(None)), TARGETS)
+        return describe(self._rows(slice(None)), self._columns)
+
+    @property
+    def _columns(self) -> dict[str, Column]:
+        return TARGETS if self.n_with_visits is None else TARGETS | OF_CADENCES
 
     def _rows(self, rows: slice) -> QTable:
         """Return the table for a slice of the targets."""
+        part = part_of(self, rows)
         # bits are written as signed integers, because FITS has no unsigned integers of 64 bits
-        part = replace(self, **{column.name: getattr(self, column.name)[rows] for column in fields(self)[:-1]})
-        values = {name: part.bits.view(np.int64) if name == "BITWEIGHTS" else getattr(part, name) for name in TARGETS}
-        values |= {name: values[name].astype(kind) for name, kind in STORED.items()}
+        values = {n: part.bits.view(np.int64) if n == "BITWEIGHTS" else getattr(part, n) for n in self._columns}
+        values |= {name: values[name].astype(kind) for name, kind in STORED.items() if name in values}
         return QTable(values, copy=False, meta={"summary": self.summary, "provenance": self.provenance})
 
     def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
@@ -278,7 +276,7 @@ class SelectionProbabilities:
         }
         first, second = self._rows(slice(0, 0)), self.realizations
         parts = (self._rows(slice(k, k + PART)).as_array() for k in range(0, len(self), PART))
-        texts = {name: column.text for name, column in TARGETS.items()}
+        texts = {name: column.text for name, column in self._columns.items()}
         about = {name: second[name].info.description or "" for name in second.colnames}
         _io.write_fits_rows(
             path,
@@ -335,8 +333,12 @@ class SelectionProbabilities:
         realizations.meta = {"summary": summary, "provenance": meta["provenance"]}
         n_tiles = np.asarray(table["n_tiles"])
         n_tiles = n_tiles.astype(count_type(n_tiles.max(initial=0)))
-        requested = to_visits(table["requested"], len(table))
-        return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations)
+        requested, with_visits = to_visits(table["requested"], len(table)), None
+        if "n_with_visits" in table.colnames:
+            with_visits = np.asarray(table["n_with_visits"]).reshape(len(table), -1)
+            if with_visits.dtype.kind not in "iu" or (with_visits.sum(axis=1) != len(realizations)).any():
+                raise InputError(f"{path} must store integers in n_with_visits whose sum is the number of realizations")
+        return cls(np.asarray(table["target_id"]), requested, n_tiles, bits, realizations, with_visits)
 
     def __len__(self):
         return len(self.target_id)
@@ -356,6 +358,13 @@ class SelectionProbabilities:
 def selection_facts(selection: SelectionProbabilities) -> dict:
     """Return the labels and values of the numbers of selection probabilities."""
     return facts_of(SELECTION_FACTS, selection.summary)
+
+
+def part_of(selection: SelectionProbabilities, rows: slice) -> SelectionProbabilities:
+    """Return the selection probabilities of a slice of the targets."""
+    columns = {column.name: getattr(selection, column.name) for column in fields(selection)}
+    del columns["realizations"]
+    return replace(selection, **{name: values[rows] for name, values in columns.items() if values is not None})
 
 
 def count_type(n: int) -> type:

@@ -77,16 +77,18 @@ class SelectionFolder(RequestFolder):
                 )
             state.restore(stored["left"], stored["counts"], done)
 
-    def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray) -> None:
-        """Write the masks of all targets and the counts of a finished block, and remove its state."""
-        self.save(BLOCK.format(number), mask=mask, counts=counts)
+    def save_block(self, number: int, mask: np.ndarray, counts: np.ndarray, visits: np.ndarray | None) -> None:
+        """Write the masks, the counts and, with cadences, the visits of a finished block, and remove its state."""
+        self.save(BLOCK.format(number), mask=mask, counts=counts, **({} if visits is None else {"visits": visits}))
         with written(self.path):
             (self.path / f"{STATE.format(number)}.npz").unlink(missing_ok=True)
 
-    def load_block(self, number: int, n_targets: int, n: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """Return the masks of all targets and the counts of a block of n realizations; None if it is not finished."""
-        stored = self.load(BLOCK.format(number), mask=("u4", (n_targets,)), counts=("i8", (n, 3)))
-        return None if stored is None else (stored["mask"], stored["counts"])
+    def load_block(self, number: int, n_targets: int, n: int, *, visits: bool) -> tuple | None:
+        """Return what `save_block` wrote for n realizations, with or without visits; None if it is not finished."""
+        expected = {"mask": ("u4", (n_targets,)), "counts": ("i8", (n, 3)), "visits": ("u1", (n_targets, n))}
+        names = [*expected][: 3 if visits else 2]
+        stored = self.load(BLOCK.format(number), **{name: expected[name] for name in names})
+        return None if stored is None else (stored["mask"], stored["counts"], stored.get("visits"))
 
     def finish(self) -> None:
         """Remove the files that are required only to continue an unfinished computation, and their checksums."""
@@ -125,12 +127,16 @@ def run(
             return SelectionProbabilities.read(folder.path)
         seeds, size, builder = seeds_of(request.seed, n), MOST if in_batch(request) else 1, request.builder
         bits = np.zeros((len(builder.wanted), n_words(n)), dtype=np.uint64)
-        counts, tiles = [], len(request.tiling)
+        counts, tiles, with_visits, is_dated = [], len(request.tiling), None, request.cadences is not None
+        if is_dated:
+            most = max(int(generation.requested.max()) for generation in generations)
+            with_visits = np.zeros((len(builder.wanted), most + 1), dtype=count_type(n))
         with Progress(progress, (n + 1) * tiles, "plans of tiles") as tell:
             n_tiles = _tiles_of_targets(request, folder, executor, tell)
             for number, first in enumerate(range(0, n, size)):
                 block_seeds = seeds[first : first + size]
-                done = None if folder is None else folder.load_block(number, len(builder.wanted), len(block_seeds))
+                sizes = len(builder.wanted), len(block_seeds)
+                done = None if folder is None else folder.load_block(number, *sizes, visits=is_dated)
                 is_known = done is not None
                 plan_rounds = partial(_plan_rounds, seeds=block_seeds, executor=executor)
                 if done is None and generations is not None:
@@ -138,17 +144,22 @@ def run(
                 elif done is None:
                     state = State(builder, len(block_seeds))
                     _plan_block(request, number, state, folder, tell, tiles * (1 + first), plan_rounds)
-                    done = state.masks(), state.counts
+                    done = state.masks(), state.counts, None
                 if folder is not None and not is_known:
                     folder.save_block(number, *done)
                 word, shift = divmod(first, PER_WORD)
                 bits[:, word] |= done[0].astype(np.uint64) << np.uint64(shift)
                 counts.append(done[1])
+                for visits in () if with_visits is None else done[2].T:
+                    with_visits[np.arange(len(visits)), visits] += 1
                 tell(tiles * (1 + first + len(block_seeds)), new=generations is not None and not is_known)
         source, last = request.source, builder if generations is None else generations[-1].request.builder
         columns = [source.by_row(values) for values in (last.wanted, n_tiles, bits)]
+        if generations is not None and (limits := generations[-1].request.state.limits) is not None:
+            columns[0][limits.row] += limits.expired  # realizations can make these visits before they expire
         table = realization_table(request, seeds, np.concatenate(counts))
-        result = SelectionProbabilities(source.ids(), *columns, table)
+        with_visits = with_visits if with_visits is None else source.by_row(with_visits)
+        result = SelectionProbabilities(source.ids(), *columns, table, with_visits)
         if folder is not None:
             with folder.writing(NAME) as temporary:
                 result.write(temporary)
@@ -205,13 +216,13 @@ def _plan_rounds(
         request = plan_jointly(request, None, executor, progress=False)[0]
 
     def open_job(tile: int) -> Job:
-        job = request.job(tile, state.is_open)
+        job = state.open_job(request, tile)
         if not has_field:  # no constraint uses the further columns
             job = job._replace(field=job.field._replace(targets=job.field.targets._replace(extra={})))
         return job
 
     def argument(tile: int, job: Job) -> tuple[BlockJob, None]:
-        return BlockJob(job, state.left.take(job.field.slot, axis=0), tuple(seeds), failed(tile)), None
+        return BlockJob(job, state.open_left(job.field.slot, tile), tuple(seeds), failed(tile)), None
 
     function = plan_together if together else plan_alone
     return run_rounds(rounds, executor, function, open_job, state.enter, argument=argument, most=IN_FLIGHT)

@@ -66,7 +66,7 @@ def selection_probabilities(
         The targets, with the requested number of visits of each target. If the state of a survey is given
         (`Survey.state`), each realization repeats its recorded observations: it plans the tiles again whenever the
         survey was planned again, and the same tiles are observed, in which positioners fail at random with the
-        measured rates.
+        measured rates. Cadences require this state.
     instrument : Instrument or str
         Instrument, name of a preset, or path of a TOML file.
     tiles : Tiling, Survey, Table or SkyCoord
@@ -105,8 +105,9 @@ def selection_probabilities(
     Returns
     -------
     SelectionProbabilities
-        For each target, the realizations that observed it (as bits), and the resulting probability. The result does
-        not depend on the number of workers or on interruptions.
+        For each target, the realizations that observed it (as bits), and the resulting probability. With cadences, also
+        the probability that its cadence is completed. The result does not depend on the number of workers or on
+        interruptions.
 
     Raises
     ------
@@ -114,8 +115,8 @@ def selection_probabilities(
         If the catalog or the tiling is empty, if two targets with requested visits have the same id, if a name or the
         identifier of a required target is unknown, if a number is out of range, if a subpriority is given, if a joint
         plan has a time limit or observed tiles, if a survey or its state is given that was planned with another
-        instrument, with other options or with cadences, if the rule of the state has a table or a function, or if the
-        folder is in use, contains another computation, or is not writable.
+        instrument or with other options, if a survey with cadences is given without its state, if the rule of the state
+        has a table or a function, or if the folder is in use, contains another computation, or is not writable.
     concurrent.futures.BrokenExecutor
         If a worker process ends abruptly and the executor does not replace it. The checkpoints remain.
 
@@ -150,13 +151,14 @@ def selection_probabilities(
     """
     begin = perf_counter()
     is_state, survey = isinstance(catalog, SurveyState), tiles if isinstance(tiles, Survey) else None
-    check_without_cadences(catalog if is_state else survey)
-    if is_state and catalog.limits is not None:
-        raise InputError(
-            "selection probabilities must be computed for a survey without targets of single tiles or dates, because "
-            f"realizations do not contain the times of visits, got {len(catalog.limits.row)} of these targets"
-        )
-    if survey is not None:
+    if survey is not None and "cadences" in survey.provenance["parameters"]:
+        if not is_state:
+            raise InputError(
+                "catalog must be the state of a survey with cadences (Survey.state), which contains the cadences, got "
+                "a catalog; Survey.select and rfpsurvey select FOLDER read the state from the folder of the survey"
+            )
+        tiles = catalog.given[3]
+    elif survey is not None:
         names = ("tile", "ra", "dec", "position_angle", "pass", *["time"] * ("time" in survey.tiles.colnames))
         tiles = survey.tiles[names]
     check_whole(n_realizations, "n_realizations", 1, MOST)
@@ -204,22 +206,9 @@ def selection_probabilities(
     return result
 
 
-def check_without_cadences(survey: object) -> None:
-    """Raise an error if a survey has cadences; it can be a `Survey`, a state or the keys of a survey, or None."""
-    if isinstance(survey, Survey):
-        has_cadences = "cadences" in survey.provenance["parameters"]
-    else:
-        has_cadences = getattr(survey, "cadences", None) is not None
-    if has_cadences:
-        raise InputError(
-            "selection probabilities must be computed for a survey without cadences, because realizations contain only "
-            "the numbers of remaining visits and not the times of visits, got one with cadences"
-        )
-
-
 def select_survey(survey: Survey, n_realizations: int, **options: object) -> SelectionProbabilities:
     """Compute the selection probabilities of a survey in a folder; see `Survey.select`."""
-    given = {name: options.pop(name) for name in ("allocator", "instrument", "rule") if name in options}
+    given = {name: options.pop(name) for name in ("allocator", "instrument", "rule", "visits") if name in options}
     call = call_in(survey.folder, **given)
     call["catalog"] = call.pop("visits")
     options_of_tiles, joint = as_joint(call["allocator"], "color")

@@ -19,6 +19,8 @@ from rfpsurvey._instruments.reach import Reach, elbow_names
 from rfpsurvey._kernels import batch as kernels
 from rfpsurvey._kernels.batch import BORDERLINE
 from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._survey.bookkeeping import Remaining, job_without
+from rfpsurvey._survey.cadences import Windows
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Job, reach_of, work
 
@@ -194,31 +196,60 @@ def in_batch(request: Request) -> bool:
     return options.method.rule is not None and simple
 
 
-class State:
+class State(Remaining):
     """The remaining visits of each target in each realization of a block.
 
     A block is a group of realizations that are planned together. The *slot* of a target is its index in the arrays of
-    the builder.
+    the builder. The windows of cadences have an element for each slot and realization.
     """
 
-    def __init__(self, builder: FieldBuilder, n_realizations: int):
-        self.builder = builder
+    def __init__(self, builder: FieldBuilder, n_realizations: int, windows: Windows | None = None):
+        self.builder, self.windows = builder, windows
         """The targets of the last realization."""
         self.spends = np.broadcast_to(np.True_, len(builder.left)) if builder.spends is None else builder.spends
         self.first = np.broadcast_to(builder.left[:, None], (len(builder.left), n_realizations))
         """Number of remaining visits of each target in each realization before the first tile."""
         self.restore(self.first.copy(), np.zeros((n_realizations, 3), dtype=np.int64))
 
-    def enter(self, _, job: Job, done: BlockDone) -> None:
-        """Record the visits of a tile."""
-        self.record(job.field.slot, done.mask, done.counts)
+    def open_job(self, request: Request, tile: int) -> Job:
+        """Return the job of a tile with the targets that at least one realization may observe."""
+        job = request.job(tile, self.is_open)
+        if self.windows is None:
+            return job
+        slot = job.field.slot
+        return job_without(request, tile, self.is_open, slot[~self.open_left(slot, tile).any(axis=1)])
 
-    def record(self, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
+    def open_left(self, slot: np.ndarray, tile: int) -> np.ndarray:
+        """Return the remaining visits of targets, shape (n, n_realizations); 0 if the window is closed at a tile."""
+        left = self.left.take(slot, axis=0)
+        if self.windows is not None:
+            left[~self.allows(self.index_of(slot), tile) & self.spends[slot][:, None]] = 0
+        return left
+
+    def index_of(self, slot: np.ndarray) -> np.ndarray:
+        """Return the index of the element of each target and realization, shape (n, n_realizations)."""
+        return slot[:, None] * len(self.counts) + np.arange(len(self.counts))
+
+    def enter(self, tile: int, job: Job, done: BlockDone) -> None:
+        """Record the visits of a tile."""
+        self.record(tile, job.field.slot, done.mask, done.counts)
+
+    def record(self, tile: int, slot: np.ndarray, mask: np.ndarray, counts: np.ndarray) -> None:
         """Record the visits of a tile to the targets in ``slot``; the other parameters are those of `BlockDone`."""
         self.counts[:, :2] += counts
-        observed = np.zeros(len(self.counts), dtype=np.int64)
-        kernels.record_visits(mask, slot, self.spends, self.left, self.is_open, observed)
+        n = len(self.counts)
+        if self.windows is None:
+            observed = np.zeros(n, dtype=np.int64)
+            kernels.record_visits(mask, slot, self.spends, self.left, self.is_open, observed)
+        else:
+            counted = self.spend(self.index_of(slot)[to_bits(mask, n) & self.spends[slot][:, None]], tile)
+            observed = np.bincount(counted % n, minlength=n)
+            self.is_open[slot] = self.left[slot].any(axis=1)
         self.counts[:, 2] += observed
+
+    def made(self) -> np.ndarray:
+        """Return the number of visits that count of each target in each realization, except those before the first."""
+        return (self.first - self.left) * self.spends[:, None]
 
     def masks(self) -> np.ndarray:
         """Return a mask for each target, whose bit r is 1 if realization r observes the target, shape (n_targets,)."""

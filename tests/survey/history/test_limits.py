@@ -249,10 +249,41 @@ def test_a_rule_requests_one_visit_of_a_target_of_a_single_tile(survey):
     assert state.requested[-2:].tolist() == [1, 3]
 
 
-def test_selection_probabilities_refuse_limits(survey):
-    survey.record(added(tile=14))
-    with pytest.raises(rs.InputError, match="without targets of single tiles or dates, .* got 1 of these targets"):
-        survey.replan().select(2)
+@pytest.mark.few(4)
+@pytest.mark.parametrize("seed", range(20))
+def test_realizations_observe_targets_of_opportunity_only_where_they_are_wanted(seed, tmp_path):
+    """Realizations are surveys in which the same tables are recorded; some targets expire after they were observed."""
+    name = ("nearest", "lamost_rule", "repair", "optimal")[seed % 4]
+
+    def live(folder, subpriority):
+        rng = np.random.default_rng([seed, 9])
+        tiles, asked = dated_tiles(rng, 5, same=True), rs.AllocationOptions(name, subpriority=subpriority)
+        given = {"allocator": asked, "folder": folder}
+        survey = rs.plan_survey(targets(seed, n=40), instrument(), rs.Tiling.from_table(tiles), **given)
+        order = np.argsort(tiles["mjd"]).tolist()
+        rows = []
+        for k in range(30):  # the targets are as important as others, so that they are not observed in all realizations
+            tile = order[rng.integers(1, 5)]
+            place = CENTER.spherical_offsets_by(*(rng.uniform(-0.2, 0.2, 2) * u.deg))
+            only, until = (str(tiles["tile"][tile]), "") if k % 3 == 0 else ("", day(int(rng.integers(2, 5))))
+            rows.append((5000 + k, "added", place.ra.deg, place.dec.deg, 2, 1 + k % 2 * (k % 3 > 0), only, until))
+        names = ["target", "state", "ra", "dec", "priority", "visits", "tile", "until"]
+        for number in range(3):
+            tile = tiles["tile"][order[number]]
+            survey.record(events(tile=tile, date=day(number), state="done", generation=number + 1))
+            if number == 0:
+                survey.record(Table(rows=rows, names=names))
+            survey = survey.replan()
+        return survey
+
+    survey = live(tmp_path / "plan", 1)
+    found = survey.select(3)
+    for r, one in enumerate(found.realizations["seed"].tolist()):
+        own = live(tmp_path / f"{r}", one)
+        np.testing.assert_array_equal(found.observed_in(r), np.asarray(own.outcomes["observed"]) > 0)
+        assert found.realizations["n_observed"][r] == own.summary["n_visits_observed"]
+    assert 0 < found.n_observed[-30:].sum() < 90
+    np.testing.assert_array_equal(found.requested[-30:], [1 + k % 2 * (k % 3 > 0) for k in range(30)])
 
 
 def test_a_column_of_the_catalog_remains_one(case, tmp_path):
