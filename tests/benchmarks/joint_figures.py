@@ -30,7 +30,10 @@ def placed(_, name, file="tycho2_spring_60x20.ecsv.gz", passes=1, **joint):
 
 
 def desi(options):
-    """Return clustered targets that require one to four visits, and the tiles of five passes around the center."""
+    """Return clustered targets that require one to four visits, and the tiles of five passes around the center.
+
+    The arms are segments.
+    """
     rng = np.random.default_rng(1)
     tiling = rs.Tiling.read(DATA / "desi_tiles_main.ecsv.gz").table
     rows = []
@@ -46,7 +49,7 @@ def desi(options):
     )  # fmt: skip
     n = len(sky)
     catalog = rs.Catalog(sky.coord, visits=rng.integers(1, 5, n), priority=rng.integers(1, 3, n))
-    return catalog, "desi", tiling, {}
+    return catalog, rs.Instrument.preset("desi").with_arm_model("elbow_to_tip"), tiling, {}
 
 
 def with_calibration(catalog, instrument):
@@ -55,7 +58,8 @@ def with_calibration(catalog, instrument):
     The requirements are those of the instrument, without fiber types. Sky positions are found between the targets.
     """
     kind = np.where(np.arange(len(catalog)) % 10 == 0, "standard", "science")
-    needs = ["sky=85", "standard=20"] if instrument == "sdss_apo" else rs.Instrument.preset(instrument).requirements
+    known = rs.Instrument.preset(instrument) if isinstance(instrument, str) else instrument
+    needs = ["sky=85", "standard=20"] if known.name == "sdss_apo" else known.requirements
     return replace(catalog, kind=kind), {"requirements": needs, "sky_separation": 5 * u.arcsec}
 
 
