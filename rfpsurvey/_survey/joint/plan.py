@@ -25,8 +25,7 @@ from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
 from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of, table_of
-from rfpsurvey._survey.joint.shares import Shares
-from rfpsurvey._survey.joint.values import class_weights, worth_of
+from rfpsurvey._survey.joint.values import Shares, class_weights, worth_of
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Done, Job, plan_of, projection_of, run_rounds

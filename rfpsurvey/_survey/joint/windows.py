@@ -18,8 +18,8 @@ from rfpsurvey._kernels.paths import TOLERANCE
 from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import NIGHT
 from rfpsurvey._survey.joint.network import Network, Patches, Paths
+from rfpsurvey._survey.joint.programs import SequenceProgram, all_sequences
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
-from rfpsurvey._survey.joint.sequences import SequenceProgram, all_sequences
 from rfpsurvey._survey.joint.values import starts_of
 
 # Largest number of candidates, and of sequences, up to which one program contains all tiles.
