@@ -268,17 +268,7 @@ def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
     return list(dict.fromkeys(rows))
 
 
-def export(
-    survey: Survey,
-    tiles: object,
-    *,
-    format: str,  # noqa: A002
-    folder: object,
-    instrument: Instrument | str | None,
-    overwrite: bool,
-    alternates: int | None,
-    progress: object,
-) -> QTable:
+def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, progress) -> QTable:  # noqa: A002
     """Write tiles of a survey to files of plans; see `Survey.export`."""
     folder, planned, others = to_path(folder), planned_tiles(survey, instrument), None
     if alternates is not None:

@@ -7,10 +7,9 @@ from astropy.table import Table
 
 from rfpsurvey._common.io import check_fits_text
 from rfpsurvey._common.units import to_labels, to_plain
-from rfpsurvey._survey.history.event_checks import check_possible, is_known
+from rfpsurvey._survey.history.checks import check_possible, is_known, with_swaps_of
 from rfpsurvey._survey.history.event_files import History, on_date
 from rfpsurvey._survey.history.events import TileEvent, TileState, grouped, to_date
-from rfpsurvey._survey.history.swaps import with_swaps_of
 from rfpsurvey._survey.history.targets import IDS, NUMBERS, TEXTS, flag_codes, to_numbers
 from rfpsurvey._survey.tiling.columns import when_of
 from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short, warn
