@@ -109,7 +109,7 @@ def _fewest(program, pairs, idle, now, x, deadline, keep_cost):
     kept = vstack([program.matrix, *costs], format="csr")
     rows = _with_pairs(_with_least(program.rows, kept, kept @ x), linked)
     goal, most = np.append(-cost, -unit), np.append(program.most, unit)
-    settings = {"integral": True, "gap": 0.0, "presolve": True}
+    settings = {"integral": True, "gap": 0.0}
     fewest, _ = maximize(rows, goal, most, deadline, **settings)
     # the numbers of collisions are whole numbers
     if fewest is None or -goal @ fewest > cost @ x + (x[linked[0]] * x[linked[1]]).sum() - 0.5:
