@@ -39,7 +39,7 @@ def maximize(
     *,
     integral: bool,
     gap: float,
-    presolve: bool,
+    presolve: bool = True,
     first: np.ndarray | None = None,
     nodes: int | None = None,
 ):
@@ -61,7 +61,7 @@ def maximize(
         Whether the variables must be whole numbers.
     gap : float
         Allowed relative error of the maximum.
-    presolve : bool
+    presolve : bool, optional
         Whether HiGHS may simplify the program first.
     first : ndarray of float, shape (n,), optional
         Values of the variables from which the search starts; the values satisfy the constraints.
@@ -119,7 +119,7 @@ def choose_one_each(
     m, n = len(start) - 1, len(weight)
     low = np.append(np.ones(m), np.full(sets.shape[0], -np.inf))
     rows = vstack([one_each(start), sets], format="csr"), low, np.append(np.ones(m), most)
-    x, bound = maximize(rows, weight, np.ones(n), deadline, integral=True, presolve=True, **limits)
+    x, bound = maximize(rows, weight, np.ones(n), deadline, integral=True, **limits)
     return x, with_errors(bound, n)
 
 

@@ -139,13 +139,13 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
         counted = exposures.in_field & (class_of < len(names)), (builder.wanted > 0) & (builder.left == 0)
         shares = Shares.of(share, request.source.by_slot("category"), *counted)
     end = now() + FOR_PRICES * min(request.joint.seconds, 1e9)
-    found, listed = exposures.finish(plans, shares, request.seed, end)
-    starts, n = [found], len(names)
+    finishing, listed = exposures.finish(plans, shares, request.seed, end)
+    starts, n = [finishing], len(names)
     weights = class_weights(n)[np.minimum(class_of[exposures.slots], n - 1)]
     first = exposures.relax(weights, end, shares)[1]
     if (first < 2).any():
-        found, further = exposures.finish(plans, shares, request.seed, end, first)
-        starts.append(found)
+        finishing, further = exposures.finish(plans, shares, request.seed, end, first)
+        starts.append(finishing)
         listed |= further
     if not exposures.is_large:
         return None, shares, starts, None

@@ -77,7 +77,7 @@ def maximize_goals(
         high = np.append(high, shares.before)
         value, most = np.append(0.0 * value, 1.0), np.append(most, UNITS / shares.weight.min())
     program = block_array(parts, format="csr"), np.full(len(high), -np.inf), high
-    x, bound = maximize(program, value, most, deadline, gap=0.0, presolve=True, **settings)
+    x, bound = maximize(program, value, most, deadline, gap=0.0, **settings)
     return x, with_errors(bound, n + len(goals.target))
 
 
@@ -159,8 +159,7 @@ def solve_balanced(
     row = shares.group[goals]
     counts = csr_array((np.ones(len(goals)), (row, finished)), shape=(len(shares.names), n))
     scale, least = shares.size * shares.weight, np.zeros(len(shares.names))
-    chosen, bound, is_free, settings = None, np.inf, np.ones(len(scale), dtype=bool), {"integral": True}
-    settings |= {"presolve": True, "nodes": problem.nodes}
+    chosen, bound, is_free, settings = None, np.inf, np.ones(len(scale), dtype=bool), {"nodes": problem.nodes}
     single = one_each(problem.start)
     high = np.concatenate([np.ones(m), problem.most, np.full(len(scale), np.inf)])
     most = np.append(np.ones(n), float(np.ceil(UNITS * (1.0 / shares.weight).max())))
@@ -189,28 +188,23 @@ def solve_balanced(
     return (chosen if chosen is not None and len(chosen) == m else None), bound
 
 
-class Sequences(NamedTuple):
-    """All sequences of all targets."""
+def all_sequences(dates: kernels.Dates, most: int) -> tuple[np.ndarray, np.ndarray, np.ndarray, csr_array] | None:
+    """Return all sequences of all targets; None if there are more than ``most``.
 
-    target: np.ndarray
-    visits: np.ndarray
-    whole: np.ndarray  # whether the sequence completes the cadence
-    uses: csr_array  # which places each sequence uses, shape (n_places, n_sequences)
-
-
-def all_sequences(dates: kernels.Dates, most: int) -> Sequences | None:
-    """Return all sequences; None if there are more than ``most``."""
-    rows, columns, found = [], [], []
+    These are the target of each sequence, its number of visits, whether it completes the cadence, and which places it
+    uses, as a matrix of the shape (n_places, n_sequences).
+    """
+    rows, columns, sequences = [], [], []
     for t in range(len(dates.p_indptr) - 1):
         for places, visits, whole in _sequences_of(t, dates):
-            if len(found) == most:
+            if len(sequences) == most:
                 return None
             rows += [dates.p_indptr[t] + k for k in places]
-            columns += [len(found)] * len(places)
-            found.append((t, visits, whole))
-    shape = len(dates.p_tile), len(found)
-    target, visits, whole = np.array(found, dtype=np.int64).reshape(-1, 3).T
-    return Sequences(target, visits, whole, csr_array((np.ones(len(rows)), (rows, columns)), shape=shape))
+            columns += [len(sequences)] * len(places)
+            sequences.append((t, visits, whole))
+    target, visits, whole = np.array(sequences, dtype=np.int64).reshape(-1, 3).T
+    shape = len(dates.p_tile), len(sequences)
+    return target, visits, whole, csr_array((np.ones(len(rows)), (rows, columns)), shape=shape)
 
 
 def _sequences_of(t: int, dates: kernels.Dates):
@@ -240,16 +234,15 @@ def _sequences_of(t: int, dates: kernels.Dates):
 class SequenceProgram:
     """The program of all plans in which targets are observed only in complete epochs.
 
-    ``place`` is the place of each candidate of the ``problem``, or -1.
+    ``place`` is the place of each candidate of the ``problem``, or -1. ``target`` is the target of each sequence, and
+    ``uses`` contains the places that it uses.
     """
 
-    def __init__(self, problem: WeightedProblem, place: np.ndarray, sequences: Sequences):
-        targets, row = np.unique(sequences.target, return_inverse=True)
-        single, at_most_one = one_each(problem.start), sums_by_group(row, len(targets))
-        some = np.flatnonzero(place >= 0)
-        shape = sequences.uses.shape[0], len(place)
-        uses = csr_array((np.ones(len(some)), (place[some], some)), shape=shape)
-        parts = [[single, None], [problem.sets, None], [None, at_most_one], [uses, -sequences.uses]]
+    def __init__(self, problem: WeightedProblem, place: np.ndarray, target: np.ndarray, uses: csr_array):
+        targets, row = np.unique(target, return_inverse=True)
+        single, some = one_each(problem.start), np.flatnonzero(place >= 0)
+        visits = csr_array((np.ones(len(some)), (place[some], some)), shape=(uses.shape[0], len(place)))
+        parts = [[single, None], [problem.sets, None], [None, sums_by_group(row, len(targets))], [visits, -uses]]
         self._matrix = block_array(parts, format="csr")
         links, free = np.zeros(uses.shape[0]), np.full(len(problem.most) + len(targets), -np.inf)
         self._low = np.concatenate([np.ones(single.shape[0]), free, links])
@@ -258,19 +251,12 @@ class SequenceProgram:
 
     def maximize(self, value: np.ndarray) -> float:
         """Find the plan with the largest sum of the ``value`` of its sequences; return an upper bound of the sum."""
-        goal = np.append(np.zeros(self.n), value)
-        most, size = np.ones(len(goal)), len(goal)
+        goal, rows = np.append(np.zeros(self.n), value), (self._matrix, self._low, self._high)
         gap = 0.5 / max(float(value.max(initial=0.0)) * self._matrix.shape[0], 1.0)
-        options = {
-            "integral": True,
-            "gap": gap,
-            "presolve": True,
-            "first": self._values,
-            "nodes": int(EFFORT_OF_SEQUENCES / size),
-        }
-        x, bound = maximize((self._matrix, self._low, self._high), goal, most, self._deadline, **options)
+        limits = {"gap": gap, "first": self._values, "nodes": int(EFFORT_OF_SEQUENCES / len(goal))}
+        x, bound = maximize(rows, goal, np.ones(len(goal)), self._deadline, integral=True, **limits)
         self._values = self._values if x is None else x
-        return with_errors(bound, size)
+        return with_errors(bound, len(goal))
 
     def keep(self, value: np.ndarray) -> None:
         """Require the sum of the ``value`` of the sequences of the present plan of all further plans."""

@@ -171,8 +171,9 @@ class WindowSearch(JointSearch):
         load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         limits, deadline = np.append(network.most, self.limits), now() + min(self._limit - self.seconds, 1e9)
         rows, problem = patches.within(0, self.chosen, load, limits, np.zeros(len(network.target)), deadline, 0.5)
-        rank, per = network.rank_of_target[sequences.target], (sequences.whole, sequences.visits)
-        program = SequenceProgram(problem, self._place_of[rows], sequences)
+        target, visits, whole, uses = sequences
+        rank, per = network.rank_of_target[target], (whole, visits)
+        program = SequenceProgram(problem, self._place_of[rows], target, uses)
         has_all = network.usable.all() and not network.free.any()
         for k, j in reversed([*product(range(len(self.levels)), range(2))]):
             bounds, is_first = (self.bounds_complete, self.bounds)[j], (k, j) == (0, 0)
