@@ -329,7 +329,4 @@ def stand(candidates, chosen):
     The state consists of the candidate of each positioner, the number of arms in use that collide with each candidate,
     and the positioner of each target.
     """
-    now = np.full(len(chosen), -1)
-    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(max(len(candidates.problem.xy), 1), -1)
-    moves.put_all(chosen, candidates.options, now, blocked, holder)
-    return now, blocked, holder
+    return moves.put_all(np.asarray(chosen, dtype=np.int64), candidates.options, max(len(candidates.problem.xy), 1))

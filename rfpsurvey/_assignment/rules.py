@@ -94,9 +94,7 @@ def check_seed(seed: object) -> int:
 
 def subpriorities_of(numbers: np.ndarray, seed: int) -> np.ndarray:
     """Return the subpriorities of the targets with given `id_numbers`; the seed is not checked."""
-    out = np.empty(len(numbers))
-    hashing.uniforms(numbers, np.uint64(seed), out)
-    return out
+    return hashing.uniforms(numbers, seed)
 
 
 FEWEST_FIRST = "fewest remaining visits"

@@ -4,6 +4,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import best_pairs
@@ -36,7 +38,6 @@ from rfpsurvey._assignment.objectives import (
 )
 from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import TIE_SEED, plan_lamost_rule
-from rfpsurvey._kernels import conflicts
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
@@ -347,9 +348,9 @@ def _parts(candidates, rows):
     real = rows[options.target[rows] >= 0]
     real = real[np.argsort(options.target[real], kind="stable")]
     same = np.flatnonzero(options.target[real[:-1]] == options.target[real[1:]])
-    label = np.arange(len(options.start) - 1)
-    for first, second in (edges, (real[same], real[same + 1])):
-        conflicts.join(options.owner[first], options.owner[second], label)
+    first, second = options.owner[np.concatenate([edges, [real[same], real[same + 1]]], axis=1)]
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=2 * (len(options.start) - 1,))
+    label = connected_components(graph, directed=False)[1]
     # Small parts are combined in the order of their labels.
     members = np.unique(options.owner[rows])
     names, size = np.unique(label[members], return_counts=True)

@@ -221,18 +221,9 @@ def split_mix(number):
 mix = kernel(split_mix)
 
 
-@kernel
-def uniform(number, seed):
-    """Return a random value in [0, 1) for the integer that represents a target; ``seed`` is the output of `mix`."""
-    return (mix(number ^ seed) >> np.uint64(11)) * UNIT
-
-
-@kernel
-def uniforms(numbers, seed, out):
-    """Compute a random value in [0, 1) for each target, from one seed and the integers that represent the targets."""
-    mixed = mix(seed)
-    for t in range(numbers.size):
-        out[t] = uniform(numbers[t], mixed)
+def uniforms(numbers, seed):
+    """Return a random value in [0, 1) for each target, from one seed and the integers that represent the targets."""
+    return (split_mix(numbers ^ split_mix(np.array([seed], dtype=np.uint64))) >> np.uint64(11)) * UNIT
 
 
 @kernel
