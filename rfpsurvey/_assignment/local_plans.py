@@ -148,7 +148,7 @@ AT_LEAST = 0.1
 LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The result of a search."""
 
     chosen: np.ndarray | None  # candidate that each positioner uses; None if no plan was found within the time limit
@@ -185,7 +185,7 @@ def repaired_plan(problem: AllocationProblem, given: Candidates) -> Repaired:
     return Repaired(given.options.target[plan], given.side[plan])
 
 
-def local_optimum(problem: AllocationProblem, candidates: Candidates) -> Found | None:
+def local_optimum(problem: AllocationProblem, candidates: Candidates) -> SearchResult | None:
     """Return a plan from local moves if it is as good as the best plan that ignores collisions; otherwise, return None.
 
     The plan does not depend on the order in which the targets were given.
@@ -197,7 +197,7 @@ def local_optimum(problem: AllocationProblem, candidates: Candidates) -> Found |
     plan, is_whole = plan_of(candidates, repaired, np.inf)
     if not is_whole or (values_of(candidates, plan) < best).any():
         return None
-    return Found(plan, best, best, LOCAL)
+    return SearchResult(plan, best, best, LOCAL)
 
 
 def plan_of(candidates: Candidates, repaired: Repaired, deadline: float) -> tuple[np.ndarray, bool]:

@@ -16,8 +16,8 @@ from rfpsurvey._assignment.local_plans import (
     AT_LEAST,
     LOCAL,
     MOST_PAIRS,
-    Found,
     Repaired,
+    SearchResult,
     answer_of,
     better_of,
     local_optimum,
@@ -148,7 +148,7 @@ def _plan_locally(given, candidates, spent, *, whole, squared_cost):
         return repaired, None
     plan, _ = plan_of(candidates, repaired, np.inf)
     values = values_of(candidates, plan)
-    return repaired, Found(plan, values, np.full(len(values), np.inf), LOCAL)
+    return repaired, SearchResult(plan, values, np.full(len(values), np.inf), LOCAL)
 
 
 def _without_requirements(problem, **options):
@@ -265,7 +265,7 @@ def _plan(candidates, chosen, collide, deadline):
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
-def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> Found:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> SearchResult:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
@@ -306,7 +306,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return Found(chosen if complete else None, values, bounds, meta, least)
+    return SearchResult(chosen if complete else None, values, bounds, meta, least)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:

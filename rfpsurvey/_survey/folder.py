@@ -153,8 +153,8 @@ class Folder(RequestFolder):
         if not first:
             first = {name: before.get(name) for name in ("passes", "tiles", "dates") if name in before}
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
-        own_first = self._for_tiles_of(first, now_first)
-        now_first |= {name: own_first[name] for name in ("passes", "tiles", "dates") if name in own_first}
+        first_of_tiles = self._for_tiles_of(first, now_first)
+        now_first |= {name: first_of_tiles[name] for name in ("passes", "tiles", "dates") if name in first_of_tiles}
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         if self._is_new_state:
             self._request["generation"] = number + 1

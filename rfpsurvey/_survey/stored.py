@@ -188,8 +188,8 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     if n_strange or not known:
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
     # a survey that was planned with the events of another folder does not contain them
-    is_own = "events" not in request or "planned" in request or is_present(folder / EVENTS)
-    chain = events or (check(EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
+    has_events = "events" not in request or "planned" in request or is_present(folder / EVENTS)
+    chain = events or (check(EVENTS, RESTORED, read_events, folder) if has_events else Events(folder))
     events = chain or Events(folder)
     belonging = {REQUEST, INDEX, LOCK, PLANS, GENERATIONS, CHECKPOINT, COPY, RECORD, *known}
     belonging |= {f"{EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}

@@ -47,7 +47,7 @@ class WindowSearch(JointSearch):
         self._place_of = place_of
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
-        self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
+        self._cost, self._candidate = np.empty(n_places), np.empty(n_places, np.int64)
         self._used = np.full(n_places, -1)
         self._use(self.chosen)
         self.bounds_complete = self.bounds.copy()
@@ -155,7 +155,7 @@ class WindowSearch(JointSearch):
             order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
             rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
             state = self.chosen, self._load, self._used, self._done
-            work = self._cost, self._found, self._work, self._picked
+            work = self._cost, self._candidate, self._work, self._picked
             kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
 
     def _solve_all(self) -> None:
