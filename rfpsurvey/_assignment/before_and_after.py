@@ -360,12 +360,9 @@ def with_sky(
     columns = dict.fromkeys(("category", "is_required", "fiber_type"))
     columns |= {name: np.concatenate([getattr(problem, name), values]) for name, values in added.items()}
     reach, r2 = problem.pairs, ((points - plane.arrays.xy[owner]) ** 2).sum(axis=1)
-    pairs = Reach(
-        np.concatenate([reach.indptr, reach.indptr[-1] + np.cumsum(usable)]),
-        np.concatenate([reach.owner, owner[usable]]),
-        np.concatenate([reach.r2, r2[usable]]),
-        len(plane),
-    )
+    ends = reach.indptr[-1] + np.cumsum(usable)
+    parts = (reach.indptr, ends), (reach.owner, owner[usable]), (reach.r2, r2[usable])
+    pairs = Reach(*map(np.concatenate, parts), len(plane))
     watched = np.full(len(plane), -1)
     watched[owner[stuck]] = n + np.flatnonzero(stuck)
     return replace(problem, pairs=pairs, watched=watched if stuck.any() else None, **columns)

@@ -94,7 +94,8 @@ def check_seed(seed: object) -> int:
 
 def subpriorities_of(numbers: np.ndarray, seed: int) -> np.ndarray:
     """Return the subpriorities of the targets with given `id_numbers`; the seed is not checked."""
-    return hashing.uniforms(numbers, seed)
+    mixed = hashing.split_mix(numbers ^ hashing.split_mix(np.array([seed], dtype=np.uint64)))
+    return (mixed >> np.uint64(11)) * hashing.UNIT
 
 
 FEWEST_FIRST = "fewest remaining visits"

@@ -203,15 +203,8 @@ def score_tile(
     if (_is_ours(table) or is_plan(table)) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
         stuck = np.setdiff1d(owner[(to_plain(table["kind"]) == "sky") & (owner >= 0)], who)
         stuck = stuck[(plane.arrays.is_stuck & ~plane.disabled)[stuck]]
-    posed = place_arms(
-        plane,
-        tips * u.mm,
-        handedness=elbows,
-        fiber_type=types,
-        parked_obstacles=parked_obstacles,
-        clip=True,
-        idle_angles=angles,
-    )
+    options = {"parked_obstacles": parked_obstacles, "clip": True, "idle_angles": angles}
+    posed = place_arms(plane, tips * u.mm, handedness=elbows, fiber_type=types, **options)
     if _is_ours(part):  # arms that were already stretched when this tile was made remain out of reach
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())

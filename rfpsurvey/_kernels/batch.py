@@ -221,11 +221,6 @@ def split_mix(number):
 mix = kernel(split_mix)
 
 
-def uniforms(numbers, seed):
-    """Return a random value in [0, 1) for each target, from one seed and the integers that represent the targets."""
-    return (split_mix(numbers ^ split_mix(np.array([seed], dtype=np.uint64))) >> np.uint64(11)) * UNIT
-
-
 @kernel
 def numbers_of_texts(codes, out):
     """Compute one 64-bit integer for each text.

@@ -113,9 +113,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
     n, words = len(table), texts_of(table, roles.get("state"))
     return {
         "state": words and [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words],
-        "good": _flags(table, roles, "good"),
-        "replaces": _flags(table, roles, "replaces"),
-        "swaps": _flags(table, roles, "swaps"),
+        **{role: _flags(table, roles, role) for role in ("good", "replaces", "swaps")},
         "date": [*map(to_date, table[roles["date"]])] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": texts_of(table, roles.get("reason")) or [""] * n,
