@@ -159,7 +159,8 @@ def solve_balanced(
     row = shares.group[goals]
     counts = csr_array((np.ones(len(goals)), (row, finished)), shape=(len(shares.names), n))
     scale, least = shares.size * shares.weight, np.zeros(len(shares.names))
-    chosen, bound, is_free, settings = None, np.inf, np.ones(len(scale), dtype=bool), {"nodes": problem.nodes}
+    chosen, bound, is_free = None, np.inf, np.ones(len(scale), dtype=bool)
+    settings = {"integral": True, "nodes": problem.nodes}
     single = one_each(problem.start)
     high = np.concatenate([np.ones(m), problem.most, np.full(len(scale), np.inf)])
     most = np.append(np.ones(n), float(np.ceil(UNITS * (1.0 / shares.weight).max())))
