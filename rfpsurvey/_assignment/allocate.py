@@ -205,22 +205,11 @@ def assign(
     if columns.kind is not None:
         classes, rank = _squeeze(classes, rank, has_role(columns.kind, "science"))
     check_counts(options.counts, focal_plane)
-    problem = AllocationProblem(
-        focal_plane,
-        xy_mm,
-        _allowed(reach, forbidden, n, order, excluded),
-        rank,
-        classes,
-        columns.kind,
-        columns.category,
-        columns.fiber_type,
-        columns.is_required,
-        options,
-        rng,
-        tell=tell,
-        subpriority=columns.subpriority,
-        deadline=deadline,
-    )
+    _, kind, category, fiber_type, is_required, subpriority = columns
+    about = rank, classes, kind, category, fiber_type, is_required, options, rng
+    more = {"tell": tell, "subpriority": subpriority, "deadline": deadline}
+    allowed = _allowed(reach, forbidden, n, order, excluded)
+    problem = AllocationProblem(focal_plane, xy_mm, allowed, *about, **more)
     if options.sky_separation is not None:
         problem = with_sky(problem, float(options.sky_separation.to_value(u.mm)), avoid, excludes_sky)
     if options.motion_law in LAWS:

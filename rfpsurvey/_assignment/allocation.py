@@ -179,13 +179,8 @@ class Allocation:
         InputError
             If ``focal_plane`` is not the focal plane for which the allocation was made.
         """
-        return place_arms(
-            focal_plane,
-            self,
-            handedness=self.handedness,
-            fiber_type=self.fiber_type,
-            parked_obstacles=self.parked_obstacles,
-        )
+        options = {name: getattr(self, name) for name in ("handedness", "fiber_type", "parked_obstacles")}
+        return place_arms(focal_plane, self, **options)
 
     def _repr_html_(self) -> str:
         facts = {level.name: f"{level.value:g} (upper bound {level.bound:g})" for level in self.levels}
@@ -335,17 +330,10 @@ def find_attempts(plane, xy, arms, reach, types, law, *, parked_obstacles):
     The attempts move one arm to a target in ``reach``, with a right (+1) or a left (-1) elbow; ``types`` are the fiber
     types that the targets at the positions ``xy`` (mm) require. The other parameters are as in `find_idle_reasons`.
     """
-    problem = AllocationProblem(
-        plane,
-        xy,
-        reach,
-        np.zeros(len(xy), dtype=np.int64),
-        (0.0,),
-        fiber_type=types,
-        options=AllocationOptions(
-            parked_obstacles=parked_obstacles, constraints=[MotionConstraint("fold", law)] if law else ()
-        ),
-    )
+    constraints = [MotionConstraint("fold", law)] if law else ()
+    options = AllocationOptions(parked_obstacles=parked_obstacles, constraints=constraints)
+    one_class = np.zeros(len(xy), dtype=np.int64), (0.0,)
+    problem = AllocationProblem(plane, xy, reach, *one_class, fiber_type=types, options=options)
     start, owner, target, side, _ = list_candidates(problem, reach, both_elbows=True)
     now = start[1:] - 1  # the last candidate of each positioner stands for its arm in the plan
     segments = place_segments(problem, owner, target, side, now)

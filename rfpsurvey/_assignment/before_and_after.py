@@ -290,17 +290,12 @@ def with_changes(problem, answer: AllocationAnswer, before: np.ndarray) -> Alloc
 N_TRIALS, N_KEPT = 64, 4
 
 
-class Sky(NamedTuple):
-    """Sky positions, each for one positioner and one fiber type."""
+def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> tuple[np.ndarray, ...]:
+    """Return sky positions at least ``separation`` (mm) from all points, for each fiber type ("" means any type).
 
-    owner: np.ndarray
-    points: np.ndarray
-    wanted: np.ndarray
-    stuck: np.ndarray  # whether the position is observed by a stuck fiber
-
-
-def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str]) -> Sky:
-    """Return sky positions at least ``separation`` (mm) from all points, for each fiber type ("" means any type)."""
+    These are the positioner, the position and the fiber type of each sky position, and whether a stuck fiber observes
+    it.
+    """
     x, y = np.ascontiguousarray(points.T)
     grid = _bin(plane, x, y, separation)
     cx, cy = plane.arrays.xy.T.copy()
@@ -331,7 +326,7 @@ def find_sky(plane, points: np.ndarray, separation: float, fiber_types: list[str
         taken[fixed[clear]] = True
         for rows, points_of, stuck in ((owner, spots, False), (fixed[clear], seen[clear], True)):
             parts.append((rows, points_of, np.full(len(rows), name), np.full(len(rows), stuck)))
-    return Sky(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    return tuple(np.concatenate(column) for column in zip(*parts, strict=True))
 
 
 def with_sky(
@@ -348,8 +343,8 @@ def with_sky(
     plane, n = problem.focal_plane, len(problem.xy)
     sky = find_sky(plane, np.vstack([problem.xy, avoided]), separation, fibers)
     if excludes is not None:
-        allowed = ~excludes(sky.points, None if plane.fiber_types == ("",) else sky.wanted)
-        sky = Sky(*(column[allowed] for column in sky))
+        allowed = ~excludes(sky[1], None if plane.fiber_types == ("",) else sky[2])
+        sky = (column[allowed] for column in sky)
     owner, points, wanted, stuck = sky
     k, usable = len(owner), ~stuck
     added = {"xy": points, "rank": np.full(k, len(problem.classes)), "kind": np.full(k, "sky", dtype="U8")}
@@ -365,12 +360,9 @@ def with_sky(
     columns = dict.fromkeys(("category", "is_required", "fiber_type"))
     columns |= {name: np.concatenate([getattr(problem, name), values]) for name, values in added.items()}
     reach, r2 = problem.pairs, ((points - plane.arrays.xy[owner]) ** 2).sum(axis=1)
-    pairs = Reach(
-        np.concatenate([reach.indptr, reach.indptr[-1] + np.cumsum(usable)]),
-        np.concatenate([reach.owner, owner[usable]]),
-        np.concatenate([reach.r2, r2[usable]]),
-        len(plane),
-    )
+    ends = reach.indptr[-1] + np.cumsum(usable)
+    parts = (reach.indptr, ends), (reach.owner, owner[usable]), (reach.r2, r2[usable])
+    pairs = Reach(*map(np.concatenate, parts), len(plane))
     watched = np.full(len(plane), -1)
     watched[owner[stuck]] = n + np.flatnonzero(stuck)
     return replace(problem, pairs=pairs, watched=watched if stuck.any() else None, **columns)

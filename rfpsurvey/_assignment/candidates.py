@@ -173,10 +173,7 @@ def avoided_rows(problem, size, owner, target, side):
 
 def _pairs_where(pairs, keep, new):
     """Return the pairs whose two candidates are kept, with the new indices of the candidates."""
-    if pairs.shape[1] == 0:
-        return pairs
-    out = np.empty((2, pairs.shape[1] + 1), dtype=np.int64)
-    return np.ascontiguousarray(out[:, : conflicts.keep_pairs(pairs, keep, new, out)])
+    return np.ascontiguousarray(new[pairs[:, keep[pairs[0]] & keep[pairs[1]]]])
 
 
 def _assemble(problem, preselection, start, owner, target, side, cost, pairs):

@@ -6,16 +6,8 @@ import numpy as np
 
 from rfpsurvey._assignment.clock import left
 from rfpsurvey._assignment.constraints.rules import Distribution
+from rfpsurvey._instruments import moves as _moves
 from rfpsurvey._instruments.find_collisions import obstacle_tests
-from rfpsurvey._instruments.moves import (
-    Turning,
-    idle_moves,
-    joined,
-    solve_moves,
-    stays_folded,
-    turn_idle_arms,
-    unfolding_obstacles,
-)
 from rfpsurvey._instruments.reach import Reach
 from rfpsurvey._kernels import repair as moves
 from rfpsurvey._kernels.motion import Moves
@@ -36,16 +28,16 @@ class Motion:
     def __init__(self, problem):
         self.problem, self.same_speed = problem, problem.options.motion_law == "same_speed"
         columns, parked = problem.focal_plane.arrays, problem.parked_obstacles
-        self._idle = idle_moves(columns, parked)
-        self._turning = Turning(columns, self._idle)
-        if not stays_folded(columns, parked).any():
+        self._idle = _moves.idle_moves(columns, parked)
+        self._turning = _moves.Turning(columns, self._idle)
+        if not _moves.stays_folded(columns, parked).any():
             return
         indptr, target, r2 = problem.pairs.by_positioner
         owner = np.repeat(np.arange(len(problem.focal_plane)), np.diff(indptr))
         target = target[np.lexsort((r2, owner))]  # the directions must not depend on the order of the targets
         side = columns.sides(problem.xy[target], owner, problem.fiber_of(owner, target))
         moves = self.moves(owner, target, side)
-        self._idle = turn_idle_arms(columns, self._idle, self._turning, indptr, moves, self.same_speed)
+        self._idle = _moves.turn_idle_arms(columns, self._idle, self._turning, indptr, moves, self.same_speed)
 
     def moves(self, owner: np.ndarray, target: np.ndarray, side: np.ndarray, idle: np.ndarray | None = None) -> Moves:
         """Return the motion of each candidate; ``idle`` contains the indices of the idle arms of all positioners."""
@@ -54,14 +46,14 @@ class Motion:
             real[idle] = False
         points[real] = self.problem.xy[target[real]]
         columns, fiber = self.problem.focal_plane.arrays, self.problem.fiber_of(owner, target)
-        moves = solve_moves(columns, owner, fiber, points, side)
-        return moves if idle is None else joined(moves, idle, self._idle, np.arange(len(idle)))
+        moves = _moves.solve_moves(columns, owner, fiber, points, side)
+        return moves if idle is None else _moves.joined(moves, idle, self._idle, np.arange(len(idle)))
 
     def obstacle_hits(self, owner: np.ndarray, moves: Moves) -> np.ndarray:
         """Return the pairs (arm, obstacle) that collide while arms unfold; ``owner`` is the positioner of each arm."""
         plane = self.problem.focal_plane
         test = obstacle_tests(plane.arrays.obstacle_pairs, owner)
-        return test[unfolding_obstacles(plane, moves, owner, test)]
+        return test[_moves.unfolding_obstacles(plane, moves, owner, test)]
 
     def turns(self, owner: np.ndarray, moves: Moves) -> np.ndarray:
         """Return whether each folded arm can turn to its direction; the positioners ``owner`` are sorted."""

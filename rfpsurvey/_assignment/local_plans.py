@@ -109,7 +109,7 @@ def _fewest(program, pairs, idle, now, x, deadline, keep_cost):
     kept = vstack([program.matrix, *costs], format="csr")
     rows = _with_pairs(_with_least(program.rows, kept, kept @ x), linked)
     goal, most = np.append(-cost, -unit), np.append(program.most, unit)
-    settings = {"integral": True, "gap": 0.0, "presolve": True}
+    settings = {"integral": True, "gap": 0.0}
     fewest, _ = maximize(rows, goal, most, deadline, **settings)
     # the numbers of collisions are whole numbers
     if fewest is None or -goal @ fewest > cost @ x + (x[linked[0]] * x[linked[1]]).sum() - 0.5:
@@ -148,7 +148,7 @@ AT_LEAST = 0.1
 LOCAL = {"model": "local moves", "n_open": 0, "n_parts": 0, "n_programs": 0}
 
 
-class Found(NamedTuple):
+class SearchResult(NamedTuple):
     """The result of a search."""
 
     chosen: np.ndarray | None  # candidate that each positioner uses; None if no plan was found within the time limit
@@ -185,7 +185,7 @@ def repaired_plan(problem: AllocationProblem, given: Candidates) -> Repaired:
     return Repaired(given.options.target[plan], given.side[plan])
 
 
-def local_optimum(problem: AllocationProblem, candidates: Candidates) -> Found | None:
+def local_optimum(problem: AllocationProblem, candidates: Candidates) -> SearchResult | None:
     """Return a plan from local moves if it is as good as the best plan that ignores collisions; otherwise, return None.
 
     The plan does not depend on the order in which the targets were given.
@@ -197,7 +197,7 @@ def local_optimum(problem: AllocationProblem, candidates: Candidates) -> Found |
     plan, is_whole = plan_of(candidates, repaired, np.inf)
     if not is_whole or (values_of(candidates, plan) < best).any():
         return None
-    return Found(plan, best, best, LOCAL)
+    return SearchResult(plan, best, best, LOCAL)
 
 
 def plan_of(candidates: Candidates, repaired: Repaired, deadline: float) -> tuple[np.ndarray, bool]:

@@ -41,16 +41,13 @@ def movable_candidates(problem: AllocationProblem, before: np.ndarray) -> Candid
 def match(candidates: Candidates) -> np.ndarray:
     """Return the target of each positioner in the best plan that ignores collisions and requirements."""
     options, problem = candidates.options, candidates.problem
-    n, m = len(options.start) - 1, len(problem.xy)
     classes = problem.rank
     if problem.any_required:
         # required targets are more important than all classes
         classes = classes - problem.is_required * (len(problem.classes) + 2)
-    target_of, positioner_of = np.empty(n, dtype=np.int64), np.empty(m, dtype=np.int64)
     able = np.flatnonzero(np.diff(options.t_indptr))  # in a crowded field, few targets have candidates
     order = able[np.argsort(classes[able], kind="stable")]
-    rules.match(order, options.t_indptr, options.owner[options.t_candidate], target_of, positioner_of)
-    return target_of
+    return rules.match(order, options.t_indptr, options.owner[options.t_candidate], len(options.start) - 1)
 
 
 def pick(candidates: Candidates, target_of: np.ndarray, side: np.ndarray | None = None) -> np.ndarray:
@@ -332,7 +329,4 @@ def stand(candidates, chosen):
     The state consists of the candidate of each positioner, the number of arms in use that collide with each candidate,
     and the positioner of each target.
     """
-    now = np.full(len(chosen), -1)
-    blocked, holder = np.zeros(len(candidates), dtype=np.int64), np.full(max(len(candidates.problem.xy), 1), -1)
-    moves.put_all(chosen, candidates.options, now, blocked, holder)
-    return now, blocked, holder
+    return moves.put_all(np.asarray(chosen, dtype=np.int64), candidates.options, max(len(candidates.problem.xy), 1))

@@ -94,9 +94,8 @@ def check_seed(seed: object) -> int:
 
 def subpriorities_of(numbers: np.ndarray, seed: int) -> np.ndarray:
     """Return the subpriorities of the targets with given `id_numbers`; the seed is not checked."""
-    out = np.empty(len(numbers))
-    hashing.uniforms(numbers, np.uint64(seed), out)
-    return out
+    mixed = hashing.split_mix(numbers ^ hashing.split_mix(np.array([seed], dtype=np.uint64)))
+    return (mixed >> np.uint64(11)) * hashing.UNIT
 
 
 FEWEST_FIRST = "fewest remaining visits"
@@ -225,9 +224,7 @@ class RuleProblem:
     @cached_property
     def closest(self) -> np.ndarray:
         """Indices of the pairs of each target, sorted by distance."""
-        closest = np.arange(len(self.pairs.owner))
-        kernels.sort_by_distance(self.pairs.indptr, self.pairs.r2, closest)
-        return closest
+        return kernels.sort_by_distance(self.pairs.indptr, self.pairs.r2)
 
     @cached_property
     def start(self) -> np.ndarray:
@@ -246,11 +243,8 @@ class RuleProblem:
         The result contains the length of each list, the targets, their squared distances, and the number of open
         targets in reach of each positioner.
         """
-        n, size, pairs = self.pairs.n_positioners, start[-1], self.pairs
-        best = np.empty(n, np.int64), np.empty(size, np.int64), np.empty(size), np.empty(n, np.int64)
-        order = self.rank, subpriority, self.number, self.by_distance, is_open
-        kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start, *best)
-        return best
+        order, pairs = (self.rank, subpriority, self.number, self.by_distance, is_open), self.pairs
+        return kernels.list_best(pairs.indptr, pairs.owner, pairs.r2, *order, start)
 
 
 def balanced(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray, rng) -> AllocationAnswer:
@@ -268,22 +262,16 @@ def balanced(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray,
 
 def nearest(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray, rng) -> AllocationAnswer:
     """Assign each open target, in the order of the rule, to its closest free positioner."""
-    pairs = problem.pairs
-    target_of, pair = np.empty((2, pairs.n_positioners), dtype=np.int64)
-    order = problem.rank, subpriority, problem.number, problem.by_distance
-    kernels.nearest(pairs.indptr, pairs.owner, pairs.r2, problem.closest, *order, is_open, target_of, pair)
-    return AllocationAnswer(target_of)
+    pairs, order = problem.pairs, (problem.rank, subpriority, problem.number, problem.by_distance, is_open)
+    given = pairs.n_positioners, pairs.indptr, pairs.owner, pairs.r2, problem.closest
+    return AllocationAnswer(kernels.nearest(*given, *order))
 
 
 def lamost_rule(problem: RuleProblem, subpriority: np.ndarray, is_open: np.ndarray, rng) -> AllocationAnswer:
     """Let each free positioner nominate its first open target, class by class, until there are no nominations."""
-    pairs, n = problem.pairs, len(problem.rank)
-    count, target, r2, in_reach = problem.first_targets(problem.start, subpriority, is_open)
-    cursor, target_of = np.empty((2, pairs.n_positioners), dtype=np.int64)
-    nominee_of, owner_of = np.empty((2, n), dtype=np.int64)
-    lists = problem.start, count, target, r2, problem.rank, pairs.indptr, pairs.owner, in_reach
-    kernels.nominate(*lists, nominee_of, np.empty(n), cursor, target_of, owner_of)
-    return AllocationAnswer(target_of)
+    *lists, in_reach = problem.first_targets(problem.start, subpriority, is_open)
+    given = problem.start, *lists, problem.rank, problem.pairs.indptr, problem.pairs.owner, in_reach
+    return AllocationAnswer(kernels.nominate(*given))
 
 
 def plan_balanced(problem: AllocationProblem) -> AllocationAnswer:

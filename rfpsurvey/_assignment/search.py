@@ -4,6 +4,8 @@ from dataclasses import replace
 from functools import partial
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 
 from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.before_and_after import best_pairs
@@ -14,8 +16,8 @@ from rfpsurvey._assignment.local_plans import (
     AT_LEAST,
     LOCAL,
     MOST_PAIRS,
-    Found,
     Repaired,
+    SearchResult,
     answer_of,
     better_of,
     local_optimum,
@@ -36,7 +38,6 @@ from rfpsurvey._assignment.objectives import (
 )
 from rfpsurvey._assignment.problem import AllocationProblem
 from rfpsurvey._assignment.rules import TIE_SEED, plan_lamost_rule
-from rfpsurvey._kernels import conflicts
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
 SMALLEST = 200
@@ -147,7 +148,7 @@ def _plan_locally(given, candidates, spent, *, whole, squared_cost):
         return repaired, None
     plan, _ = plan_of(candidates, repaired, np.inf)
     values = values_of(candidates, plan)
-    return repaired, Found(plan, values, np.full(len(values), np.inf), LOCAL)
+    return repaired, SearchResult(plan, values, np.full(len(values), np.inf), LOCAL)
 
 
 def _without_requirements(problem, **options):
@@ -264,7 +265,7 @@ def _plan(candidates, chosen, collide, deadline):
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
-def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> Found:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> SearchResult:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
@@ -305,7 +306,7 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
         "n_parts": n_parts,
         "n_programs": n_programs,
     }
-    return Found(chosen if complete else None, values, bounds, meta, least)
+    return SearchResult(chosen if complete else None, values, bounds, meta, least)
 
 
 def _start_of_part(candidates, start, blind, edges, n_levels) -> Solution:
@@ -347,9 +348,9 @@ def _parts(candidates, rows):
     real = rows[options.target[rows] >= 0]
     real = real[np.argsort(options.target[real], kind="stable")]
     same = np.flatnonzero(options.target[real[:-1]] == options.target[real[1:]])
-    label = np.arange(len(options.start) - 1)
-    for first, second in (edges, (real[same], real[same + 1])):
-        conflicts.join(options.owner[first], options.owner[second], label)
+    first, second = options.owner[np.concatenate([edges, [real[same], real[same + 1]]], axis=1)]
+    graph = coo_array((np.ones(len(first)), (first, second)), shape=2 * (len(options.start) - 1,))
+    label = connected_components(graph, directed=False)[1]
     # Small parts are combined in the order of their labels.
     members = np.unique(options.owner[rows])
     names, size = np.unique(label[members], return_counts=True)

@@ -39,7 +39,7 @@ def maximize(
     *,
     integral: bool,
     gap: float,
-    presolve: bool,
+    presolve: bool = True,
     first: np.ndarray | None = None,
     nodes: int | None = None,
 ):
@@ -61,7 +61,7 @@ def maximize(
         Whether the variables must be whole numbers.
     gap : float
         Allowed relative error of the maximum.
-    presolve : bool
+    presolve : bool, optional
         Whether HiGHS may simplify the program first.
     first : ndarray of float, shape (n,), optional
         Values of the variables from which the search starts; the values satisfy the constraints.
@@ -96,6 +96,17 @@ def maximize(
     return None if x is None else np.round(x), bound if np.isfinite(bound) else np.inf
 
 
+def sums_by_group(group: np.ndarray, n_groups: int, value: np.ndarray | float = 1.0) -> csr_array:
+    """Return the matrix whose product with variables is the sum of those of each group, times ``value``."""
+    n = len(group)
+    return csr_array((np.broadcast_to(value, n), (group, np.arange(n))), shape=(n_groups, n))
+
+
+def one_each(start: np.ndarray) -> csr_array:
+    """Return the matrix whose product with candidates in use is their number for each positioner."""
+    return sums_by_group(np.repeat(np.arange(len(start) - 1), np.diff(start)), len(start) - 1)
+
+
 def choose_one_each(
     start: np.ndarray, weight: np.ndarray, sets: csr_array, most: np.ndarray, deadline: float, **limits
 ):
@@ -106,10 +117,9 @@ def choose_one_each(
     are parameters of `maximize`.
     """
     m, n = len(start) - 1, len(weight)
-    single = csr_array((np.ones(n), (np.repeat(np.arange(m), np.diff(start)), np.arange(n))), shape=(m, n))
     low = np.append(np.ones(m), np.full(sets.shape[0], -np.inf))
-    rows = vstack([single, sets], format="csr"), low, np.append(np.ones(m), most)
-    x, bound = maximize(rows, weight, np.ones(n), deadline, integral=True, presolve=True, **limits)
+    rows = vstack([one_each(start), sets], format="csr"), low, np.append(np.ones(m), most)
+    x, bound = maximize(rows, weight, np.ones(n), deadline, integral=True, **limits)
     return x, with_errors(bound, n)
 
 

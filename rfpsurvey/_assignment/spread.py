@@ -5,6 +5,7 @@ from functools import partial
 
 import numpy as np
 
+from rfpsurvey._assignment import objectives as _objectives
 from rfpsurvey._assignment import search as _search
 from rfpsurvey._assignment.answer import AllocationAnswer, Level
 from rfpsurvey._assignment.candidates import Candidates
@@ -13,15 +14,6 @@ from rfpsurvey._assignment.clusters import improve_by_clusters, improve_members,
 from rfpsurvey._assignment.distribution import lost_to_rules
 from rfpsurvey._assignment.local_plans import LOCAL, answer_of, plan_of, repaired_plan, values_of
 from rfpsurvey._assignment.local_search import pick, repair_collisions, stand
-from rfpsurvey._assignment.objectives import (
-    Solution,
-    conditional_bounds,
-    matching_limits,
-    offset_of,
-    pursue,
-    with_cost,
-    with_used_classes,
-)
 from rfpsurvey._assignment.problem import AllocationProblem
 
 # Fractions of the remaining time: for the problem without the rules, for the plan with the same science targets, for
@@ -63,13 +55,13 @@ def decide(problem: AllocationProblem, *, collide: bool, **options) -> Allocatio
 def _follow(problem, free, values, bounds, *, squared_cost, **_) -> AllocationAnswer:
     """Return the best plan that follows the rules; ``free`` is a plan without the rules, with values and bounds."""
     given, deadline = problem, problem.deadline
-    problem = with_cost(problem)
+    problem = _objectives.with_cost(problem)
     candidates, whole = _search._candidates_in_time(problem, collide=True, squared_cost=squared_cost)
     repaired = repaired_plan(given, candidates)
-    problem, candidates, kept = with_used_classes(problem, candidates)
-    offset = offset_of(given)
+    problem, candidates, kept = _objectives.with_used_classes(problem, candidates)
+    offset = _objectives.offset_of(given)
     rows = np.concatenate([np.arange(offset), offset + kept, np.arange(offset + len(given.classes), len(values))])
-    known, limits = [(values[rows], bounds[rows])], matching_limits(problem, candidates if whole else None)
+    known, limits = [(values[rows], bounds[rows])], _objectives.matching_limits(problem, candidates if whole else None)
     upper = partial(_upper, problem, limits, known)
 
     def is_best(plan):
@@ -121,14 +113,14 @@ def _upper(problem: AllocationProblem, limits: np.ndarray, known: list, values: 
 
     ``known`` contains values of plans, and bounds of each objective for plans with the same earlier values.
     """
-    limit = conditional_bounds(problem, values, limits, 0)
+    limit = _objectives.conditional_bounds(problem, values, limits, 0)
     for reached, bounds in known:
         same = np.append(True, np.cumprod(values == reached)[:-1] > 0)
         limit = np.where(same, np.minimum(limit, bounds), limit)
     return limit
 
 
-def _solve(candidates: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> Solution | None:
+def _solve(candidates: Candidates, chosen, upper, deadline: float, squared_cost: bool) -> _objectives.Solution | None:
     """Return the plan of the integer program of all positioners; None if the program is too large."""
     options, state = candidates.options, stand(candidates, chosen)
     members = np.flatnonzero(np.diff(options.start) > 1)
@@ -139,7 +131,7 @@ def _solve(candidates: Candidates, chosen, upper, deadline: float, squared_cost:
     try:
         program = program_of(candidates, members, *state, deadline)
         part, base = upper_of_part(candidates, state[0], upper)
-        solution = pursue(program, first, deadline, None, upper=part, **settings)
+        solution = _objectives.pursue(program, first, deadline, None, upper=part, **settings)
     except OutOfTimeError:
         return None
     least = solution.least + options.cost[state[0][np.diff(options.start) == 1]].sum()

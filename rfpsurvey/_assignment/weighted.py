@@ -109,16 +109,10 @@ class ListCandidates:
         candidates = find_candidates(problem, keep_target=self.keep_target)
         cliques = Prices(candidates, np.inf)
         options, reach = candidates.options, problem.pairs
-        listed = TileCandidates(
-            options.start,
-            options.target.astype(np.int32),
-            candidates.side.astype(np.int8),
-            cliques.indptr,
-            cliques.column.astype(np.int32),
-            candidates.preselection.shortened.any(axis=1),
-            (reach.owner.astype(np.int32), reach.target.astype(np.int32)),
-            rules_of(candidates, self.keep_target),
-        )
+        poses = options.start, options.target.astype(np.int32), candidates.side.astype(np.int8)
+        pairs, shortened = (reach.owner, reach.target), candidates.preselection.shortened.any(axis=1)
+        given = shortened, tuple(rows.astype(np.int32) for rows in pairs), rules_of(candidates, self.keep_target)
+        listed = TileCandidates(*poses, cliques.indptr, cliques.column.astype(np.int32), *given)
         if self.reuse:
             listed = with_reused(listed, candidates, self.keep_target)
         return AllocationAnswer(np.full(len(problem.focal_plane), -1), meta={"candidates": listed})
@@ -159,17 +153,12 @@ def with_reused(listed: TileCandidates, candidates: Candidates, planned: np.ndar
     shape = len(listed.indptr) - 1, n
     cliques = csr_array((np.ones(len(listed.column)), listed.column, listed.indptr), shape=shape)[:, copied]
     cliques.sort_indices()
-    return listed._replace(
-        start=listed.start + np.searchsorted(np.sort(owner[rows]), np.arange(len(listed.start))),
-        target=np.where(is_copy, -2 - listed.target[copied], listed.target[copied]),
-        side=listed.side[copied],
-        indptr=cliques.indptr,
-        column=cliques.indices,
-        rules=rules._replace(
-            matrix=csr_array(hstack([rules.matrix, of_copies.matrix[:, rows]]).tocsc()[:, order]),
-            usable=np.append(rules.usable, of_copies.usable[rows])[order],
-        ),
-    )
+    matrix = csr_array(hstack([rules.matrix, of_copies.matrix[:, rows]]).tocsc()[:, order])
+    rules = rules._replace(matrix=matrix, usable=np.append(rules.usable, of_copies.usable[rows])[order])
+    start = listed.start + np.searchsorted(np.sort(owner[rows]), np.arange(len(listed.start)))
+    target = np.where(is_copy, -2 - listed.target[copied], listed.target[copied])
+    columns = {"indptr": cliques.indptr, "column": cliques.indices, "rules": rules}
+    return listed._replace(start=start, target=target, side=listed.side[copied], **columns)
 
 
 class GivenPlan:

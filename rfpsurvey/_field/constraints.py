@@ -160,11 +160,8 @@ def apply_constraints(
         excluded = wrong if excluded is None else excluded if wrong is None else excluded | wrong
     sizes, circles = [len(drawn) for drawn in circles[1:]], np.vstack(circles)
     if len(circles):
-        instrument = replace(
-            instrument,
-            focal_plane=with_circles(instrument.focal_plane, circles),
-            plate_scale=None if instrument.distortion else instrument.plate_scale,
-        )
+        scale = None if instrument.distortion else instrument.plate_scale
+        instrument = replace(instrument, focal_plane=with_circles(instrument.focal_plane, circles), plate_scale=scale)
 
     def excludes_sky(points: np.ndarray, fiber_type: np.ndarray | None) -> np.ndarray:
         wider = field.with_blank_sky(projection.unproject(points, fiber_type), points, fiber_type)

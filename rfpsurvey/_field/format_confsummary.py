@@ -18,17 +18,7 @@ from rfpsurvey._common.io import writing_to
 from rfpsurvey._common.read_documents import content_of, head_of, sentence
 from rfpsurvey._common.read_tables import is_number
 from rfpsurvey._common.units import check_columns, to_plain
-from rfpsurvey._field.plan_values import (
-    check_instrument,
-    from_keywords,
-    make_plan,
-    own_name,
-    texts_of_lost,
-    to_keywords,
-    to_type,
-    to_wok,
-    without_keywords,
-)
+from rfpsurvey._field import plan_values
 from rfpsurvey._sky.arrays import last_role
 from rfpsurvey._sky.time import to_moment, to_time
 from rfpsurvey.errors import InputError, number_of
@@ -103,7 +93,7 @@ def read(path: Path) -> QTable:
     elif "xFocal" in rows and "yFocal" in rows:
         if rotation is None:
             raise InputError(f"{path}: the header must have the position angle pa, got none")
-        xy = to_wok(_filled(rows["xFocal"]), _filled(rows["yFocal"]), rotation)
+        xy = plan_values.to_wok(_filled(rows["xFocal"]), _filled(rows["yFocal"]), rotation)
     else:
         raise InputError(f"{path}: the table FIBERMAP must have xwok and ywok, or xFocal and yFocal, got neither")
     assigned = rows.pop("assigned") == 1
@@ -116,7 +106,7 @@ def read(path: Path) -> QTable:
     ids = columns.get("target_id", np.full(n, -1))
     columns["target_id"] = np.where(ids == MISSING, -1, ids)
     rows = {**{name: columns.pop(name) for name in ("ra_fiber", "dec_fiber") if name in columns}, **rows}
-    return make_plan(
+    return plan_values.make_plan(
         columns,
         rows,
         format=FORMAT,
@@ -127,7 +117,7 @@ def read(path: Path) -> QTable:
         position_angle=rotation,
         epoch=_epoch(header, path),
         struct=[f"{kind} {name}" for name, kind in struct.items()],  # a list, because ECSV sorts the keys of a dict
-        **from_keywords(header),
+        **plan_values.from_keywords(header),
     )
 
 
@@ -151,8 +141,8 @@ def file_name(_: QTable, tile: str) -> str:
 
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
-    names = {*map(own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
-    texts = texts_of_lost(plan, names, FORMAT)
+    names = {*map(plan_values.own_name, _struct(plan)), *NATIVE, "kind", "assigned", "x", "y"}
+    texts = plan_values.texts_of_lost(plan, names, FORMAT)
     if "category" in plan.colnames and (_categories(plan) != np.asarray(plan["category"]).astype(str)).any():
         texts.append("the categories that do not state the kind of their targets")
     return texts + ["the joint angles computed from nominal arm lengths"] * _is_nominal(plan)
@@ -290,7 +280,7 @@ def _struct(plan: QTable) -> dict[str, str]:
 
 def _native_rows(plan: QTable, path: Path) -> np.ndarray:
     """Return the rows of the file as a structured array."""
-    check_instrument(plan, path, "a confSummary file", *INSTRUMENTS.values())
+    plan_values.check_instrument(plan, path, "a confSummary file", *INSTRUMENTS.values())
     struct, n, fields = _struct(plan), len(plan), []
     check_columns(struct, REQUIRED, f"{path}: the table FIBERMAP")
     given = _given(plan, struct)
@@ -301,7 +291,9 @@ def _native_rows(plan: QTable, path: Path) -> np.ndarray:
         if base in TYPES:
             shape = tuple(sizes)
             values = np.full((n, *shape), MISSING) if values is None else np.asarray(values)
-            fields.append((name, TYPES[base], shape, to_type(values, TYPES[base], f"{path}: the column {name!r}")))
+            fields.append(
+                (name, TYPES[base], shape, plan_values.to_type(values, TYPES[base], f"{path}: the column {name!r}"))
+            )
         else:
             values = np.full(n, "") if values is None else np.asarray(values).astype(str)
             _check_text(values, name, path)
@@ -317,7 +309,7 @@ def _given(plan: QTable, struct: dict) -> dict:
     """Return the columns of a plan with the names, the units and the code for missing values of a confSummary file."""
     plain = {name: np.asarray(getattr(plan[name], "value", plan[name])) for name in plan.colnames}
     x, y = (np.where(np.isfinite(plain[name]), plain[name], np.nan) for name in ("x", "y"))
-    given = {name: plain[own_name(name)] for name in struct if own_name(name) in plain}
+    given = {name: plain[plan_values.own_name(name)] for name in struct if plan_values.own_name(name) in plain}
     for name, native in NATIVE.items():
         if name in plain and not (name in ("theta", "phi") and _is_nominal(plan)):
             given[native] = _coded(plain[name]) if name in ANGLES else plain[name]
@@ -326,7 +318,7 @@ def _given(plan: QTable, struct: dict) -> dict:
         none = np.isin(ids, ("", "-1"))
         if not np.char.isdecimal(ids[~none]).all():
             raise InputError("catalogid must be whole numbers, got text for the identifiers of targets")
-        ids = to_type(np.where(none, "-1", ids), "i8", "catalogid")
+        ids = plan_values.to_type(np.where(none, "-1", ids), "i8", "catalogid")
     if (ids[plain["assigned"].astype(bool)] == MISSING).any():
         raise InputError(f"catalogid must differ from {MISSING} for all targets, because {MISSING} means no target")
     given["catalogid"] = np.where(ids == -1, MISSING, ids)
@@ -343,7 +335,7 @@ def _given(plan: QTable, struct: dict) -> dict:
     given["category"] = np.where(np.isin(category, ("sky", "standard")), joined, category)
     given["xwok"], given["ywok"] = _coded(x), _coded(y)
     angle = plan.meta.get("position_angle")
-    focal = (np.full(len(plan), np.nan),) * 2 if angle is None else to_wok(x, y, -angle)
+    focal = (np.full(len(plan), np.nan),) * 2 if angle is None else plan_values.to_wok(x, y, -angle)
     for name, values in zip(("xFocal", "yFocal"), focal, strict=True):
         recorded = given.get(name, np.full(len(plan), np.nan))
         given[name] = np.where(np.isnan(values) | (np.abs(recorded - values) < 1e-9), recorded, values)
@@ -388,7 +380,7 @@ def _native_header(plan: QTable, path: Path) -> dict[str, str]:
         }
         if "time" in meta.get("conditions", {}):
             header["obstime"] = to_moment(meta["conditions"]["time"], "time").strftime("%a %b %d %H:%M:%S %Y")
-    header = without_keywords(header) | to_keywords(meta)
+    header = plan_values.without_keywords(header) | plan_values.to_keywords(meta)
     header = {key: str(value) for key, value in header.items()}
     _epoch(header, path)  # raises an error for a value that cannot be read again
     for key, text in header.items():

@@ -19,17 +19,8 @@ from rfpsurvey._common.io import check_fits_text, writing_to
 from rfpsurvey._common.read_documents import head_of, sentence
 from rfpsurvey._common.read_tables import read_tables
 from rfpsurvey._common.units import check_columns, check_unique, to_plain
-from rfpsurvey._field.plan_values import (
-    Native,
-    check_instrument,
-    from_keywords,
-    make_plan,
-    own_name,
-    texts_of_lost,
-    to_keywords,
-    to_type,
-    without_keywords,
-)
+from rfpsurvey._field import plan_values
+from rfpsurvey._field.plan_values import Native
 from rfpsurvey._instruments.as_built import MOST_DEVICE, N_PETALS
 from rfpsurvey.errors import InputError, InputTypeError, warn
 
@@ -98,7 +89,7 @@ def read(path: Path) -> QTable:
     }
     header |= {name: value for name, value in table.meta.items() if name != "EXTNAME"}
     rotation = _angle(header, "FIELDROT", path)
-    plan = make_plan(
+    plan = plan_values.make_plan(
         columns,
         {name: table[name] for name in table.colnames if name not in (*COMMON.values(), EXACT)},
         format=FORMAT,
@@ -108,7 +99,7 @@ def read(path: Path) -> QTable:
         deccen=_angle(header, "TILEDEC", path),
         position_angle=None if rotation is None else 0.0 - rotation,  # never -0.0
         epoch=_epoch(values.get("REF_EPOCH")),
-        **from_keywords(header),
+        **plan_values.from_keywords(header),
     )
     plan.meta["columns"] = list(table.colnames)
     plan.meta["extensions"] = [extension for extension in tables if extension is not table]
@@ -156,7 +147,7 @@ def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data a fiberassign file cannot represent."""
     known = {*COMMON, "fiber_type", "kind", "assigned", "spectrograph"}
     known |= {*plan.colnames} - {"theta", "phi"} if _is_own(plan) else set()
-    return texts_of_lost(plan, known, FORMAT, several_roles=True)
+    return plan_values.texts_of_lost(plan, known, FORMAT, several_roles=True)
 
 
 def _column(table, name, path) -> np.ndarray:
@@ -230,7 +221,7 @@ def _header(plan) -> dict:
     if plan.meta.get("position_angle") is not None and ("FIELDROT" in header or not _is_own(plan)):
         header["FIELDROT"] = 0.0 - plan.meta["position_angle"]
     header.pop(RANKS, None)
-    return without_keywords(header) | to_keywords(plan.meta)
+    return plan_values.without_keywords(header) | plan_values.to_keywords(plan.meta)
 
 
 def _is_own(plan) -> bool:
@@ -253,7 +244,7 @@ def _columns(plan, header, path) -> dict:
         if EXACT in common:
             header[RANKS] = f"PRIORITY: ranks of {EXACT}"
     if _is_own(plan):
-        names = {own_name(name): name for name in plan.meta.get("columns", ())}
+        names = {plan_values.own_name(name): name for name in plan.meta.get("columns", ())}
         known = (*COMMON, "fiber_type", "kind", "assigned")
         columns = {names.get(name, name): plan[name] for name in plan.colnames if name not in known}
         columns |= common
@@ -290,7 +281,7 @@ def _columns(plan, header, path) -> dict:
 
 def _locations(plan, path) -> np.ndarray:
     """Return the LOCATION in DESI of each positioner of a plan."""
-    check_instrument(plan, path, "a fiberassign file", "desi")
+    plan_values.check_instrument(plan, path, "a fiberassign file", "desi")
     ids = np.asarray(plan["positioner"])
     wrong = np.ones(len(ids), dtype=bool)
     if ids.dtype.kind in "iu":
@@ -314,7 +305,7 @@ def _priorities(values, assigned) -> dict:
     known = np.isfinite(values) if values.dtype.kind == "f" else np.ones(len(values), dtype=bool)
     whole = np.where(known | assigned, values, 0)
     try:
-        return {"PRIORITY": to_type(whole, "i4", "PRIORITY")}
+        return {"PRIORITY": plan_values.to_type(whole, "i4", "PRIORITY")}
     except InputError:
         rank = np.zeros(len(values), dtype="i4")
         rank[known] = np.unique(values[known], return_inverse=True)[1].reshape(-1) + 1
@@ -329,7 +320,7 @@ def _has_kind(column, kind) -> bool:
 def _targets(ids, location, assigned, tile, path) -> np.ndarray:
     """Return the identifiers of the targets; each fiber without a target has its own negative number."""
     values = np.where(assigned, np.asarray(ids), 0 if np.asarray(ids).dtype.kind in "iuf" else "0")
-    return np.where(assigned, to_type(values, "i8", f"{path}: target_id"), -1 - 10_000 * tile - location)
+    return np.where(assigned, plan_values.to_type(values, "i8", f"{path}: target_id"), -1 - 10_000 * tile - location)
 
 
 def _year(epoch) -> float:
@@ -341,7 +332,7 @@ def _year(epoch) -> float:
 def _typed(column, kind, unit, what):
     """Return a column with the type of the data model; raise an error if this type cannot represent the values."""
     values = column.to_value(unit) if unit is not None and isinstance(column, u.Quantity) else to_plain(column)
-    values = values.astype(kind) if np.dtype(kind).kind == "U" else to_type(values, kind, what)
+    values = values.astype(kind) if np.dtype(kind).kind == "U" else plan_values.to_type(values, kind, what)
     return values if unit is None else u.Quantity(values, unit)
 
 

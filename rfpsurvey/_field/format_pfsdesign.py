@@ -14,22 +14,8 @@ from astropy.table import QTable
 from rfpsurvey._common.read_documents import head_of
 from rfpsurvey._common.read_fits import read_fits_units
 from rfpsurvey._common.units import check_columns, check_unique, to_plain
-from rfpsurvey._field.format_pfsdesign_write import (
-    COMMENTARY,
-    DESIGN,
-    FLUXES,
-    FORMAT,
-    GOOD,
-    NATIVE,
-    NUMBERS,
-    REQUIRED,
-    TEXT,
-    WHOLE,
-    design_id,
-    file_name,
-    wrapped,
-    write,
-)
+from rfpsurvey._field import format_pfsdesign_write as design
+from rfpsurvey._field.format_pfsdesign_write import file_name, write
 from rfpsurvey._field.plan_values import from_keywords, make_plan, own_name, texts_of_lost
 from rfpsurvey._instruments.pfs_files import PFI_ANGLE, pfs_fibers
 from rfpsurvey.errors import InputError, listed, warn
@@ -74,10 +60,10 @@ def read(path: Path) -> QTable:
             raise InputError(f"{path}: the file must have the extension {name}, got {listed(tables)}")
     tables = {name: _without_ragged(rows, name, path) for name, rows in tables.items()}
     rows = tables["DESIGN"]
-    check_columns(rows.dtype.names, REQUIRED, f"{path}: DESIGN")
+    check_columns(rows.dtype.names, design.REQUIRED, f"{path}: DESIGN")
     if len(rows) == 0:
         raise InputError(f"{path}: DESIGN must have at least one row, got none")
-    for name, column in DESIGN.items():
+    for name, column in design.DESIGN.items():
         if name in rows.dtype.names and column.kinds:
             _check_column(rows, "DESIGN", name, column.kinds, path)
     fiber = rows["fiberId"]
@@ -88,16 +74,16 @@ def read(path: Path) -> QTable:
     kind = np.array([KINDS.get(t, "") for t in rows["targetType"].tolist()])
     columns = {"positioner": _cobras(rows), "fiber_type": np.full(len(rows), ""), "kind": kind, "assigned": kind != ""}
     columns["x"], columns["y"] = rows["pfiNominal"].astype(float).T
-    for name, native in NATIVE.items():
+    for name, native in design.NATIVE.items():
         if native in rows.dtype.names:
             columns[name] = rows[native]
-    native = {name: rows[name] for name in rows.dtype.names if name not in (*NATIVE.values(), "pfiNominal")}
+    native = {name: rows[name] for name in rows.dtype.names if name not in (*design.NATIVE.values(), "pfiNominal")}
     native |= _photometry(units["PHOTOMETRY"][0], tables["PHOTOMETRY"], fiber, path)
     guides = (units["GUIDESTARS"][0], tables["GUIDESTARS"]) if "GUIDESTARS" in tables else None
     meta = {
         "comments": _comments(primary),
         "formats": _forms(rows),
-        "rows_id": design_id(fiber, rows["ra"], rows["dec"]),
+        "rows_id": design.design_id(fiber, rows["ra"], rows["dec"]),
     }
     if guides is not None:
         stars = {name: guides[1][name].tolist() for name in guides[1].dtype.names}
@@ -111,12 +97,12 @@ def read(path: Path) -> QTable:
     return make_plan(
         columns,
         native,
-        format=FORMAT,
+        format=design.FORMAT,
         instrument="pfs",
         header=header,
         racen=center[0],
         deccen=center[1],
-        position_angle=wrapped(posang + PFI_ANGLE),
+        position_angle=design.wrapped(posang + PFI_ANGLE),
         epoch=str(epochs[0]) if len(epochs) == 1 else None,
         **meta,
         **from_keywords(header),
@@ -125,18 +111,18 @@ def read(path: Path) -> QTable:
 
 def lost(plan: QTable) -> list[str]:
     """Return a list of texts that describe which data this format cannot represent."""
-    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *NATIVE}
-    if plan.meta["format"] == FORMAT:
-        names |= {*DESIGN, *FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
+    names = {"positioner", "fiber_type", "kind", "assigned", "x", "y", *design.NATIVE}
+    if plan.meta["format"] == design.FORMAT:
+        names |= {*design.DESIGN, *design.FLUXES, "filterName", *map(own_name, dict(plan.meta.get("formats", ())))}
     else:
-        names |= {"spectrograph", *(name for name, c in DESIGN.items() if c.usual is not None and not c.common)}
-    return texts_of_lost(plan, names, FORMAT)
+        names |= {"spectrograph", *(name for name, c in design.DESIGN.items() if c.usual is not None and not c.common)}
+    return texts_of_lost(plan, names, design.FORMAT)
 
 
 def neglected(plan: QTable, sky: bool) -> list[str]:
     """Return a text if assigned rows have fibers that are not good, which a score neglects."""
-    bad = to_plain(plan["fiberStatus"]) != GOOD if "fiberStatus" in plan.colnames else np.zeros(0)
-    text = f"{bad.sum()} fibers with a target have a fiberStatus other than {GOOD} (good), but count as assigned"
+    bad = to_plain(plan["fiberStatus"]) != design.GOOD if "fiberStatus" in plan.colnames else np.zeros(0)
+    text = f"{bad.sum()} fibers with a target have a fiberStatus other than {design.GOOD} (good), but count as assigned"
     return [text] if bad.any() else []
 
 
@@ -165,8 +151,9 @@ def _number(header: dict, name: str, path: Path) -> float:
 def _check_column(rows: np.ndarray, table: str, name: str, kinds: str, path: Path) -> None:
     """Raise an error unless a column has the expected type, and one value per row (``pfiNominal``: two values)."""
     dtype, shape = rows[name].dtype, rows[name].shape[1:]
-    if dtype.kind not in kinds or (kinds == WHOLE and dtype.str[1:] == "u8" and (rows[name] >= 2**63).any()):
-        what = {WHOLE: "whole numbers", NUMBERS: "numbers", TEXT: "text"}.get(kinds, "text or numbers")
+    if dtype.kind not in kinds or (kinds == design.WHOLE and dtype.str[1:] == "u8" and (rows[name] >= 2**63).any()):
+        words = {design.WHOLE: "whole numbers", design.NUMBERS: "numbers", design.TEXT: "text"}
+        what = words.get(kinds, "text or numbers")
         raise InputError(f"{path}: the column {name!r} of {table} must hold {what}, got {dtype}")
     if shape != ((2,) if name == "pfiNominal" else ()):
         expected = "two values" if name == "pfiNominal" else "one value"
@@ -183,7 +170,7 @@ def _without_ragged(rows: np.ndarray, table: str, path: Path) -> np.ndarray:
 
 def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict:
     """Return columns of fluxes and filter names, shape (fiber, filter, ...); missing filters have empty names."""
-    for name, kinds in (("fiberId", WHOLE), ("filterName", TEXT)):
+    for name, kinds in (("fiberId", design.WHOLE), ("filterName", design.TEXT)):
         check_columns(rows.dtype.names, [name], f"{path}: PHOTOMETRY")
         _check_column(rows, "PHOTOMETRY", name, kinds, path)
     if not np.isin(rows["fiberId"], fiber).all():
@@ -196,7 +183,7 @@ def _photometry(header, rows: np.ndarray, fiber: np.ndarray, path: Path) -> dict
     # the number of each row among the rows of its fiber
     place = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
     columns, shape = {}, (len(fiber), max(int(size.max(initial=0)), 1))
-    for name in FLUXES:
+    for name in design.FLUXES:
         if name not in rows.dtype.names:
             continue
         given = rows[name].astype(float) if rows[name].dtype.kind in "iu" else rows[name]
@@ -233,7 +220,7 @@ def _values(header, path: Path) -> dict:
     for name in _cards(header):
         try:
             value = header[name]
-            values[name] = "\n".join(map(str, value)) if name in COMMENTARY else value
+            values[name] = "\n".join(map(str, value)) if name in design.COMMENTARY else value
         except Exception:  # astropy can raise any exception
             bad.append(name)
     if bad:

@@ -6,13 +6,15 @@ import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 
-from rfpsurvey._common.files import WRITABLE, suffix_of
+from rfpsurvey._common.descriptions import COPIED, describe
+from rfpsurvey._common.files import WRITABLE, is_fits, suffix_of, to_path
 from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.units import to_flags, to_plain, to_unit
 from rfpsurvey._field.plan_files import FROM_TILE, as_plan, is_plan, is_tile
-from rfpsurvey._field.plan_values import COLUMNS, INSTRUMENT_FILE
-from rfpsurvey.errors import InputError, listed, short
+from rfpsurvey._field.plan_values import COLUMNS, INSTRUMENT_FILE, find_instrument_file
+from rfpsurvey._field.table import OUTCOMES_COLUMNS, TILE_COLUMNS, id_column, without_masks
+from rfpsurvey.errors import InputError, InputTypeError, listed, short
 
 ENDINGS = WRITABLE
 REQUIRED_OF_TILE = ("id", "target_id", "status", "tip_x", "tip_y")
@@ -24,6 +26,10 @@ META = {
     **dict.fromkeys(("racen", "deccen", "position_angle"), NUMBER),
 }
 """Entries in the ``meta`` of a plan, or in the provenance of a tile, with their types."""
+SUMMARY = ("n_positioners", "n_assigned", "n_colliding", "collision_rate", "seconds")
+MUST_HAVE = [f"summary.{name}" for name in SUMMARY]
+MUST_HAVE += [f"provenance.{name}" for name in ("instrument.name", "parameters.allocator", "catalog")]
+"""Entries of the ``meta`` of the table of each tile."""
 
 
 def read(path: Path) -> QTable:
@@ -36,7 +42,7 @@ def read(path: Path) -> QTable:
             table[name] = table[name].filled("")
     names = {name: name for name in COLUMNS}
     if not is_plan(table):
-        _check_tile(table, path)
+        _check_parts(table, path)
         name_in_tile = {common: name for name, common in FROM_TILE.items()}
         names = {name_in_tile.get(name, name): name for name in COLUMNS if name != "assigned"}
     for name, common in names.items():
@@ -71,7 +77,7 @@ def lost(plan: QTable) -> list[str]:
     return ["the other tables of the file from which the plan was read"] if plan.meta.get("extensions") else []
 
 
-def _check_tile(table: QTable, path: Path) -> None:
+def _check_parts(table: QTable, path: Path) -> None:
     """Raise an error if the table of a tile lacks columns, the name of the instrument or the parameters."""
     lacking = [name for name in REQUIRED_OF_TILE if name not in table.colnames]
     if lacking:
@@ -113,3 +119,53 @@ def _check_meta(meta: dict, path: Path) -> None:
         if not isinstance(value, types) or isinstance(value, bool) or (types == NUMBER and not np.isfinite(value)):
             words = {TEXT: "text", NUMBER: "a finite number"}.get(types, "a dict")
             raise InputError(f"{path}: {name} in the meta of a plan must be {words}, got {short(value)}")
+
+
+def check_tile(table: object) -> None:
+    """Raise an error if an object is not the table of a tile."""
+    if not isinstance(table, QTable):
+        raise InputTypeError(f"table must be a QTable, got {type(table).__name__}")
+    lacking = [name for name in ("summary", "provenance", "geometry") if name not in table.meta]
+    if lacking or "in_collision" not in table.colnames:
+        raise InputError("the table does not describe a tile: it lacks " + (", ".join(lacking) or "in_collision"))
+    for path in MUST_HAVE:
+        value = table.meta
+        for name in path.split("."):
+            value = value.get(name) if isinstance(value, dict) else None
+        if value is None:
+            raise InputError(f"the meta of a tile must have the entry {path}, got none")
+
+
+def read_tile(path: str | Path) -> tuple[QTable, QTable | None]:
+    """Return the table of a tile in a file and its outcomes, which files in the format ECSV lack."""
+    find_instrument_file(table := read_table(path), to_path(path))
+    try:
+        table.meta = {k: v for k, v in table.meta.items() if not k.startswith("__")}
+        has_target = np.isin(table["status"], ("assigned", "out_of_reach"))
+        table["target_id"] = id_column(table["target_id"], has_target)
+        check_tile(table := describe(without_masks(table), TILE_COLUMNS, COPIED))
+    except KeyError as error:
+        raise InputError(f"{path} does not hold a tile: the column {error.args[0]} is missing") from None
+    except InputError as error:
+        raise InputError(f"{path} does not hold a tile: {error}") from None
+    if not table.meta["provenance"].get("outcomes") or not is_fits(to_path(path)):
+        return table, None
+    return table, describe(without_masks(read_table(path, hdu=2)), OUTCOMES_COLUMNS, COPIED)
+
+
+def cards_of(tile) -> dict:
+    """Return the FITS header cards of a tile."""
+    parameters = tile.provenance["parameters"]
+    cards = {
+        "INSTRUME": (tile.instrument, "instrument"),
+        "RA": (parameters.get("ra_deg"), "[deg] right ascension of the field center"),
+        "DEC": (parameters.get("dec_deg"), "[deg] declination of the field center"),
+        "POSANG": (parameters.get("position_angle_deg"), "[deg] position angle of +y, north toward east"),
+        "NORTHOF": (parameters.get("north_of"), "frame or equinox that defines north"),
+        "RADESYS": ("ICRS", "frame of right ascensions and declinations"),
+        "REFEPOCH": (parameters.get("epoch"), "epoch of the target positions"),
+        "ALLOCATR": (parameters.get("allocator"), "allocator"),
+        "NASSIGN": (tile.summary["n_assigned"], "positioners with a target"),
+        "NCOLLIDE": (tile.summary["n_colliding"], "positioners in collision"),
+    }
+    return {name: card for name, card in cards.items() if card[0] is not None}

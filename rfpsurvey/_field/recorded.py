@@ -1,7 +1,6 @@
 """The data in the table of a plan: the field, the positions of the targets, and the poses of the arms."""
 
 import warnings
-from typing import NamedTuple
 
 import astropy.units as u
 import numpy as np
@@ -25,17 +24,6 @@ TOLERANCE_MM = 0.1
 """Largest distance between the position of a fiber and the position computed from its recorded joint angles."""
 
 
-class Recorded(NamedTuple):
-    """The poses that a table records."""
-
-    idle_angles: np.ndarray
-    """Joint angles (radians) of the positioners, shape (2, n); NaN if the pose is not known."""
-    handedness: np.ndarray | None
-    """Handedness of each arm; None if the table does not contain joint angles."""
-    by_angles: np.ndarray
-    """Whether the pose of each positioner is known from joint angles; other poses are known from positions."""
-
-
 def find_recorded(
     find: Finder,
     owner: np.ndarray,
@@ -44,8 +32,12 @@ def find_recorded(
     places: np.ndarray,
     types: np.ndarray,
     tips: np.ndarray,
-) -> Recorded:
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray]:
     """Return the poses that a table records.
+
+    These are the joint angles (radians) of the positioners, shape (2, n), which are NaN if the pose is not known, the
+    handedness of each arm, which is None if the table does not contain joint angles, and whether the pose of each
+    positioner is known from joint angles; other poses are known from positions.
 
     ``owner`` is the index of the positioner of each row (-1: no positioner of the instrument), and ``has_target`` is
     whether each row assigns a target. For each positioner, ``places`` (mm) is the recorded position of the target on
@@ -61,17 +53,17 @@ def find_recorded(
     by_angles = np.isfinite(idle).all(axis=0)
     if is_plan(find.table):
         idle = np.where(by_angles, idle, _angles_of_positions(find, owner, has_target, plane))
-    return Recorded(np.where(plane.arrays.is_stuck, np.nan, idle), handedness, by_angles)
+    return np.where(plane.arrays.is_stuck, np.nan, idle), handedness, by_angles
 
 
-def sentence_of(posed: Arms, recorded: Recorded, status: np.ndarray) -> str:
+def sentence_of(posed: Arms, by_angles: np.ndarray, status: np.ndarray) -> str:
     """Return a sentence on the poses of the positioners without a target; empty if all positioners have one."""
     idle = ~posed.assigned
     known = posed.recorded & idle
     assumed = idle & ~known
     counts = {
-        "at the recorded joint angles": known & recorded.by_angles,
-        "at the recorded positions": known & ~recorded.by_angles,
+        "at the recorded joint angles": known & by_angles,
+        "at the recorded positions": known & ~by_angles,
         "stuck at the angles that the instrument states": assumed & (status == "stuck"),
         "assumed to be parked": assumed & np.isin(status, ("parked", "disabled")),
         "assumed to avoid all other arms": assumed & (status == "idle"),

@@ -195,22 +195,16 @@ def score_tile(
         parameters["constraints"] = [str(constraint) for constraint in checked.options.all_constraints]
     tips, target_of, types = _by_positioner(plane, who, xy, fibers)
     wrong = sum(t not in row.split("+") for t, row in zip(fibers, plane.fiber_type[who], strict=True))
-    recorded = find_recorded(full, owner, np.isin(np.arange(len(table)), rows), instrument, recorded_xy, types, tips)
-    if not (parked_obstacles or (recorded.idle_angles is not None and np.isfinite(recorded.idle_angles).any())):
+    has_target = np.isin(np.arange(len(table)), rows)
+    angles, elbows, by_angles = find_recorded(full, owner, has_target, instrument, recorded_xy, types, tips)
+    if not (parked_obstacles or np.isfinite(angles).any()):
         warn_of_parked(plane)
     stuck = np.empty(0, dtype=int)
     if (_is_ours(table) or is_plan(table)) and "kind" in table.colnames:  # fibers of stuck positioners can observe sky
         stuck = np.setdiff1d(owner[(to_plain(table["kind"]) == "sky") & (owner >= 0)], who)
         stuck = stuck[(plane.arrays.is_stuck & ~plane.disabled)[stuck]]
-    posed = place_arms(
-        plane,
-        tips * u.mm,
-        handedness=recorded.handedness,
-        fiber_type=types,
-        parked_obstacles=parked_obstacles,
-        clip=True,
-        idle_angles=recorded.idle_angles,
-    )
+    options = {"parked_obstacles": parked_obstacles, "clip": True, "idle_angles": angles}
+    posed = place_arms(plane, tips * u.mm, handedness=elbows, fiber_type=types, **options)
     if _is_ours(part):  # arms that were already stretched when this tile was made remain out of reach
         posed.clipped[who] |= to_plain(part["status"]) == "out_of_reach"
     n_out = int(posed.clipped.sum())
@@ -232,7 +226,7 @@ def score_tile(
         "n_unusable": int((~plane.arrays.usable[who]).sum()),
         "epoch": moved,
         "n_recorded": int((status_of(plane, posed) == "recorded").sum()),
-        "poses_without_target": sentence_of(posed, recorded, status_of(plane, posed)),
+        "poses_without_target": sentence_of(posed, by_angles, status_of(plane, posed)),
         **({} if constraints is None else checked.summary(report, posed, target_of, who, fibers, stuck)),
         "seconds": {"total": round(perf_counter() - start, 6)},
     }

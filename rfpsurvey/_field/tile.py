@@ -12,14 +12,9 @@ from astropy.time import Time
 from rfpsurvey._assignment.constraints.field import verdict_table
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import plot, show, to_html
+from rfpsurvey._field.format_table import cards_of, check_tile, read_tile
 from rfpsurvey._field.plan_files import write_plan
-from rfpsurvey._field.table import (
-    TableOfTile,
-    TargetsOfField,
-    collision_shape,
-    same_table,
-)
-from rfpsurvey._field.tile_files import cards_of, check_tile, read_tile
+from rfpsurvey._field.table import TableOfTile, TargetsOfField, collision_shape, same_table
 from rfpsurvey._field.verdicts import OUTCOMES, completeness_table
 from rfpsurvey._sky.time import to_time
 

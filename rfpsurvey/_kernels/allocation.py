@@ -82,15 +82,17 @@ def precedes(rank, order, number, by_distance, s, s_r2, t, t_r2):
 
 
 @kernel
-def list_best(indptr, owner, r2, rank, order, number, by_distance, is_open, start, count, target, out_r2, in_reach):
+def list_best(indptr, owner, r2, rank, order, number, by_distance, is_open, start):
     """List the first targets of each positioner, sorted in the order of `precedes`.
 
-    The input lists the positioners that reach each target. Only targets marked in ``is_open`` are listed, and their
-    number is written to ``in_reach``. At most ``start[i + 1] - start[i]`` targets of positioner i are stored, beginning
-    at the index ``start[i]``. The number of stored targets is written to ``count[i]``.
+    The input lists the positioners that reach each target. Only targets marked in ``is_open`` are listed. At most
+    ``start[i + 1] - start[i]`` targets of positioner i are stored, beginning at the index ``start[i]``. Return the
+    number of stored targets of each positioner, the targets, their squared distances, and the number of open targets in
+    reach of each positioner.
     """
-    count[:] = 0
-    in_reach[:] = 0
+    n = start.size - 1
+    count, in_reach = np.zeros(n, np.int64), np.zeros(n, np.int64)
+    target, out_r2 = np.empty(start[n], np.int64), np.empty(start[n])
     for t in range(indptr.size - 1):
         if not is_open[t]:
             continue
@@ -109,6 +111,7 @@ def list_best(indptr, owner, r2, rank, order, number, by_distance, is_open, star
                 target[m], out_r2[m] = target[m - 1], out_r2[m - 1]
                 m -= 1
             target[m], out_r2[m] = t, d
+    return count, target, out_r2, in_reach
 
 
 @kernel
@@ -174,35 +177,19 @@ def select_pairs(indptr, owner, r2, rank, code, n_codes, start, n_spread, wanted
 
 
 @kernel
-def nominate(
-    start,
-    count,
-    target,
-    r2,
-    rank,
-    indptr,
-    owner,
-    free_reach,
-    nominee_of,
-    nominee_r2,
-    cursor,
-    target_of_positioner,
-    positioner_of_target,
-):
+def nominate(start, count, target, r2, rank, indptr, owner, free_reach):
     """Assign the targets of one priority class after the other, in rounds of nominations (the method of LAMOST).
 
     Every free positioner nominates its nearest unassigned target of the class. If several positioners nominate a
     target, it is assigned to the positioner with the fewest unassigned targets in reach; ties are decided by the
     distance, then by the index of the positioner. ``free_reach`` must be the number of targets in reach of each
     positioner, even if the list of candidates does not contain all of these targets. The candidates of positioner i
-    have the indices from ``start[i]`` up to, but not including, ``start[i] + count[i]``.
+    have the indices from ``start[i]`` up to, but not including, ``start[i] + count[i]``. Return the target of each
+    positioner.
     """
-    n = count.size
-    for i in range(n):  # numba takes seconds to compile the assignment of an array to a slice
-        cursor[i] = start[i]
-    target_of_positioner[:] = -1
-    positioner_of_target[:] = -1
-    nominee_of[:] = -1
+    n, cursor = count.size, start[:-1].copy()
+    target_of_positioner, positioner_of_target = np.full(n, -1), np.full(rank.size, -1)
+    nominee_of, nominee_r2 = np.full(rank.size, -1), np.empty(rank.size)
     c = 0
     while c < MOST:
         upcoming = MOST
@@ -247,11 +234,13 @@ def nominate(
                 for m in range(indptr[t], indptr[t + 1]):
                     free_reach[owner[m]] -= 1
         c = upcoming  # the next class with a candidate of a free positioner
+    return target_of_positioner
 
 
 @kernel
-def sort_by_distance(indptr, r2, closest):
-    """Sort the pairs of each target by distance, then by the index of the positioner, with an insertion sort."""
+def sort_by_distance(indptr, r2):
+    """Return the pairs of each target by distance, then by the index of the positioner, with an insertion sort."""
+    closest = np.empty(r2.size, np.int64)
     for t in range(indptr.size - 1):
         for k in range(indptr[t], indptr[t + 1]):
             m = k
@@ -259,23 +248,22 @@ def sort_by_distance(indptr, r2, closest):
                 closest[m] = closest[m - 1]
                 m -= 1
             closest[m] = k
+    return closest
 
 
 @kernel
-def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, is_open, target_of_positioner, pair):
-    """Assign each target, in the order of `precedes`, to its closest free positioner.
+def nearest(n, indptr, owner, r2, closest, rank, order, number, by_distance, is_open):
+    """Assign each target, in the order of `precedes`, to its closest free one of n positioners; return their targets.
 
     If ``by_distance`` is true, this means that the closest pair of the first class is assigned first, then the closest
     remaining pair of this class, and so on. ``closest`` contains the pairs of each target, sorted by
-    `sort_by_distance`. Only targets marked in ``is_open`` are assigned. The pair of each positioner with a target is
-    written to ``pair``.
+    `sort_by_distance`. Only targets marked in ``is_open`` are assigned.
 
     The method is deferred acceptance. Each target proposes to its positioners in the order of ``closest``, and a
     positioner keeps the best target among the targets that have proposed to it. The result is the same as if the
     targets were assigned one after the other, but they need not be sorted.
     """
-    target_of_positioner[:] = -1
-    pair[:] = -1
+    target_of_positioner, pair = np.full(n, -1), np.full(n, -1)
     # the next pair of each target that it may use, as index in ``closest``
     cursor = np.empty(indptr.size - 1, np.int64)
     for t in range(indptr.size - 1):
@@ -291,6 +279,7 @@ def nearest(indptr, owner, r2, closest, rank, order, number, by_distance, is_ope
                 continue
             target_of_positioner[i], pair[i] = t, k
             t = s
+    return target_of_positioner
 
 
 @kernel
@@ -319,18 +308,16 @@ def fill_quota(order, need, indptr, target, r2, wanted, locked, target_of_positi
 
 
 @kernel
-def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
-    """Match targets to positioners in the given order; a target without an augmenting path is not matched.
+def match(order, t_indptr, t_owner, n):
+    """Match targets to n positioners in the given order, and return the target of each positioner, or -1.
 
-    A matched target may change its positioner, but it remains matched. The result is therefore the best matching if
-    matchings are compared lexicographically in the given order of the targets.
+    A target without an augmenting path is not matched. A matched target may change its positioner, but it remains
+    matched. The result is therefore the best matching if matchings are compared lexicographically in the given order
+    of the targets.
     """
-    n = target_of_positioner.size
-    target_of_positioner[:] = -1
-    positioner_of_target[:] = -1
+    target_of_positioner, positioner_of_target = np.full(n, -1), np.full(t_indptr.size - 1, -1)
     # Positioners that a failed search has reached are skipped, because no later augmenting path contains them.
-    closed, seen, came_from = np.empty(n, np.bool_), np.empty(n, np.int64), np.empty(n, np.int64)
-    closed[:], seen[:] = False, -1
+    closed, seen, came_from = np.zeros(n, np.bool_), np.full(n, -1), np.empty(n, np.int64)
     queue = np.empty(n + 1, np.int64)
     for t in order:
         head, tail = 0, 1
@@ -359,3 +346,4 @@ def match(order, t_indptr, t_owner, target_of_positioner, positioner_of_target):
             target_of_positioner[free] = s
             positioner_of_target[s] = free
             free = before if s != t else -1
+    return target_of_positioner

@@ -222,20 +222,6 @@ mix = kernel(split_mix)
 
 
 @kernel
-def uniform(number, seed):
-    """Return a random value in [0, 1) for the integer that represents a target; ``seed`` is the output of `mix`."""
-    return (mix(number ^ seed) >> np.uint64(11)) * UNIT
-
-
-@kernel
-def uniforms(numbers, seed, out):
-    """Compute a random value in [0, 1) for each target, from one seed and the integers that represent the targets."""
-    mixed = mix(seed)
-    for t in range(numbers.size):
-        out[t] = uniform(numbers[t], mixed)
-
-
-@kernel
 def numbers_of_texts(codes, out):
     """Compute one 64-bit integer for each text.
 

@@ -122,37 +122,6 @@ def adjacency(first, second, indptr, excluded):
 
 
 @kernel
-def keep_pairs(pairs, keep, new, out):
-    """Write the pairs whose elements are both kept to ``out``, with new indices; return the number of these pairs."""
-    n = 0
-    for k in range(pairs.shape[1]):
-        a, b = pairs[0, k], pairs[1, k]
-        out[0, n], out[1, n] = new[a], new[b]
-        n += keep[a] and keep[b]
-    return n
-
-
-@kernel
-def join(first, second, label):
-    """Give the same label to all elements that are connected, directly or through other elements, by pairs.
-
-    On input, ``label`` must contain 0, 1, 2, and so on.
-    """
-    for k in range(first.size):
-        a, b = first[k], second[k]
-        # union-find with path halving; the root of a set is its smallest element
-        while label[a] != a:
-            label[a] = label[label[a]]
-            a = label[a]
-        while label[b] != b:
-            label[b] = label[label[b]]
-            b = label[b]
-        label[max(a, b)] = min(a, b)
-    for a in range(label.size):  # all smaller elements already have their root as label
-        label[a] = label[label[a]]
-
-
-@kernel
 def grow_cliques(owner, indptr, excluded, first, covered, row_start, out, most_work):
     """Cover conflicts of candidates with maximal cliques, beginning with the conflicts of candidate ``first``.
 

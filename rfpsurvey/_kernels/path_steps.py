@@ -64,42 +64,13 @@ def blocked_by(bodies, limits, around, state, i, turn, psi_turn, gaps):
         other = speed_of(bodies, j, rate[j], psi_rate[j]) if decided[j] else 0.0
         if gaps[n - around.start[i]] - around.separation[n] > speed + other + TOLERANCE:
             continue
-        b_rate, q_rate = (rate[j], psi_rate[j]) if decided[j] else (0.0, 0.0)
-        if (
-            come_near(
-                bodies,
-                limits,
-                i,
-                theta[i],
-                turn,
-                psi[i],
-                psi_turn,
-                j,
-                theta[j],
-                b_rate,
-                psi[j],
-                q_rate,
-                around.separation[n],
-            )
-            < math.inf
-        ):
+        moves_j = (rate[j], psi_rate[j]) if decided[j] else (0.0, 0.0)
+        motion = theta[i], turn, psi[i], psi_turn, j, theta[j], moves_j[0], psi[j], moves_j[1]
+        if come_near(bodies, limits, i, *motion, around.separation[n]) < math.inf:
             return j
     for n in range(around.o_start[i], around.o_start[i + 1]):
-        if (
-            comes_near_obstacle(
-                bodies,
-                limits,
-                i,
-                theta[i],
-                turn,
-                psi[i],
-                psi_turn,
-                around.obstacles,
-                around.o_near[n],
-                around.clearance[n],
-            )
-            < math.inf
-        ):
+        motion_of_arm = theta[i], turn, psi[i], psi_turn, around.obstacles, around.o_near[n]
+        if comes_near_obstacle(bodies, limits, i, *motion_of_arm, around.clearance[n]) < math.inf:
             return -2
     return -1
 

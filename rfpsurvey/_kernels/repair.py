@@ -34,18 +34,19 @@ def put(i, c, options, chosen, blocked, holder):
 
 
 @kernel
-def put_all(plan, options, chosen, blocked, holder):
-    """Assign the candidates of a plan to all positioners, which have no candidates yet."""
+def put_all(plan, options, n_targets):
+    """Return the state of a plan: its copy, ``blocked`` and ``holder``."""
     # a call of `put` for each positioner would take longer, because all arrays of ``options`` are passed to it
     indptr, excluded, target = options.indptr, options.excluded, options.target
+    blocked, holder = np.zeros(target.size, np.int64), np.full(n_targets, -1)
     for i in range(plan.size):
         c = plan[i]
-        chosen[i] = c
         if c >= 0:
             for k in range(indptr[c], indptr[c + 1]):
                 blocked[excluded[k]] += 1
             if target[c] >= 0:
                 holder[target[c]] = i
+    return plan.copy(), blocked, holder
 
 
 @kernel

@@ -302,10 +302,10 @@ def move(order, rolls, links, dates, chosen, load, used, done, cost, candidate, 
 
 
 @kernel
-def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picked, cost, usage, own_usage):
+def use_prices(price, arm_price, per_visit, per_whole, links, dates, work, picked, cost, usage, arm_usage):
     """Return the sum over all targets of the largest value of a sequence, if each candidate has a price.
 
-    The price of a candidate is the sum of the prices of its cliques and of its positioner. ``usage`` and ``own_usage``
+    The price of a candidate is the sum of the prices of its cliques and of its positioner. ``usage`` and ``arm_usage``
     receive the number of uses of each clique and each positioner.
     """
     total = 0.0
@@ -316,15 +316,15 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
         for p in range(first, last):
             cost[p] = np.inf
             for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
-                cost[p] = min(cost[p], price_of(dates.candidate[k], price, own_price, links))
+                cost[p] = min(cost[p], price_of(dates.candidate[k], price, arm_price, links))
         value, _, _ = best_sequence(t, cost, per_visit[t], per_whole[t], dates, work, picked)
         total += value
         for p in range(first, last):
             if picked[p - first]:
                 for k in range(dates.c_indptr[p], dates.c_indptr[p + 1]):
                     c = dates.candidate[k]
-                    if price_of(c, price, own_price, links) == cost[p]:
-                        own_usage[links.owner[c]] += 1.0
+                    if price_of(c, price, arm_price, links) == cost[p]:
+                        arm_usage[links.owner[c]] += 1.0
                         for r in range(links.indptr[c], links.indptr[c + 1]):
                             usage[links.clique[r]] += 1.0
                         break
@@ -332,9 +332,9 @@ def use_prices(price, own_price, per_visit, per_whole, links, dates, work, picke
 
 
 @kernel
-def price_of(c, price, own_price, links):
+def price_of(c, price, arm_price, links):
     """Return the price of a candidate."""
-    total = own_price[links.owner[c]]
+    total = arm_price[links.owner[c]]
     for r in range(links.indptr[c], links.indptr[c + 1]):
         total += price[links.clique[r]]
     return total

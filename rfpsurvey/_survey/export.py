@@ -1,4 +1,4 @@
-"""Tiles of a survey with the poses of their arms, and their files in the formats of observatories."""
+"""Tiles of a survey with the poses of their arms, their files in the formats of observatories, and alternates."""
 
 import re
 import tempfile
@@ -19,27 +19,33 @@ from astropy.time import Time
 from rfpsurvey._assignment.constraints.targets import circle_text
 from rfpsurvey._assignment.constraints.text import listed_in, recorded_constraints
 from rfpsurvey._assignment.options import AllocationOptions
+from rfpsurvey._assignment.rules import FEWEST_FIRST
 from rfpsurvey._common.descriptions import COPIED, Column, describe, table_of, with_unit
 from rfpsurvey._common.executors import Progress
 from rfpsurvey._common.files import check_parent, suffix_of, to_path
 from rfpsurvey._common.io import write_bytes, write_table, writing_to, written
-from rfpsurvey._common.units import to_plain
+from rfpsurvey._common.units import from_lonlat, to_plain
+from rfpsurvey._field.alternates import PlannedField, find_alternates
+from rfpsurvey._field.plan import with_subpriorities
 from rfpsurvey._field.plan_files import TABLE, as_plan, file_name, write_plan
 from rfpsurvey._field.plan_values import instrument_file
 from rfpsurvey._field.score import score_tile
 from rfpsurvey._field.table import TILE_COLUMNS, only_with_target
 from rfpsurvey._field.tile import Tile
+from rfpsurvey._instruments.arms import place_arms
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey._instruments.states import instruments_at, is_dated
+from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.region import Region
 from rfpsurvey._survey import key_objects
-from rfpsurvey._survey.alternates import SurveyAlternates
+from rfpsurvey._survey.continue_survey import request_in
 from rfpsurvey._survey.folder import part_name, read_visits
+from rfpsurvey._survey.history.status import count_planned
 from rfpsurvey._survey.plan_file import keys_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_rows
-from rfpsurvey._survey.work import TIME
+from rfpsurvey._survey.work import TIME, projection_of, reach_of
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_whole, listed, number_of, warn
 
 EXPORTED = table_of(
@@ -205,8 +211,7 @@ def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) ->
 def _stored(model: Instrument) -> tuple[Instrument, bytes]:
     """Return an instrument as its file describes it, and the content of this file; presets need no file.
 
-    The values in the file can differ by rounding errors. Exported tiles are computed with the values in the file, so
-    that plans in its folder have the same scores.
+    Exported tiles have the values in the file, which can differ by rounding errors, so that plans have the same scores.
     """
     digest = model.provenance["digest"]
     if model.name in available_instruments() and as_instrument(model.name).provenance["digest"] == digest:
@@ -235,6 +240,57 @@ def tile_at(path: Path) -> tuple[Tile, PlannedTiles] | None:
         raise InputError(f"{path} must be the file of one of the {len(survey)} tiles of the survey, got row {row}")
     planned = planned_tiles(survey)
     return planned.tile(row), planned
+
+
+class SurveyAlternates:
+    """The alternates of the tiles of a survey; ``given`` contains parameters that its plan file does not determine."""
+
+    def __init__(self, survey: Survey, **given: object):
+        self._survey, self._request = survey, request_in(survey.folder, **given)
+        self._state = self._request.open_state()
+
+    @cached_property
+    def _planned(self) -> np.ndarray:
+        """Number of visits of each target in the tiles that will be observed, in the order of the catalog."""
+        return count_planned(self._survey, self._request.state, is_planned=False)
+
+    def of_tile(self, row: int, n: int) -> QTable:
+        """Return a table of at most n alternates of each fiber of the tile in a row, as `find_alternates` does."""
+        survey, request = self._survey, self._request
+        name = survey.tiles["tile"][row]
+        visits, cards = read_visits(survey.folder, row, survey._known, name)
+        job = self._state.open_job(request, row)
+        if not np.allclose([cards[axis] for axis in ("RA", "DEC", "POSANG")], request.places[row], rtol=0, atol=1e-9):
+            raise InputError(f"tile {name} must have its planned position for alternates, got a tile that was moved")
+        reach, options, columns = reach_of(job), request.options, visits.dtype.names
+        plane, has_types = reach.applied.instrument.focal_plane, "fiber_type" in columns
+        row_of = {str(positioner): k for k, positioner in enumerate(plane.id.tolist())}
+        owner = np.array([row_of[str(positioner)] for positioner in visits["positioner"].tolist()])
+        vectors = from_lonlat(np.deg2rad(visits["ra"]), np.deg2rad(visits["dec"]))
+        tips, types = np.full((len(plane), 2), np.nan), None
+        tips[owner] = projection_of(job).project(vectors, visits["fiber_type"] if has_types else None)
+        tips[~plane.arrays.usable] = np.nan
+        if has_types:
+            types = plane.arrays.first_type.astype(np.promote_types(visits["fiber_type"].dtype, "U1"))
+            types[owner] = visits["fiber_type"]
+        parked = options.parked_obstacles
+        arms = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked, clip=True)
+        targets = job.field.targets._replace(columns=job.field.targets.columns._replace(kind=reach.applied.kind))
+        if options.subpriority == FEWEST_FIRST:  # here, the most remaining visits come first
+            targets = targets._replace(columns=targets.columns._replace(subpriority=None))
+        else:
+            targets = with_subpriorities(targets, options)
+        catalog_row, kind = job.field.row, targets.columns.kind
+        pairs = reach.allowed.where(~np.isin(catalog_row, visits["target_row"])[reach.allowed.target])
+        planned = self._planned[catalog_row].astype(int)
+        left = np.maximum(request.builder.left[job.field.slot] - planned, 0)
+        if kind is not None:  # standards and sky positions can be observed any number of times
+            left = np.where(has_role(kind, "science"), left, 1)
+        roles = visits["kind"] if "kind" in columns else np.full(len(visits), "science")
+        about = targets, reach.xy, reach.fiber_type, pairs, owner, visits["target_id"], roles, vectors
+        table = find_alternates(PlannedField(plane, arms, options.motion_law, parked, *about), n, left, planned)
+        table.add_column(np.full(len(table), name), name="tile", index=0)
+        return table
 
 
 def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
@@ -268,17 +324,7 @@ def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
     return list(dict.fromkeys(rows))
 
 
-def export(
-    survey: Survey,
-    tiles: object,
-    *,
-    format: str,  # noqa: A002
-    folder: object,
-    instrument: Instrument | str | None,
-    overwrite: bool,
-    alternates: int | None,
-    progress: object,
-) -> QTable:
+def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, progress) -> QTable:  # noqa: A002
     """Write tiles of a survey to files of plans; see `Survey.export`."""
     folder, planned, others = to_path(folder), planned_tiles(survey, instrument), None
     if alternates is not None:
@@ -336,8 +382,7 @@ def export(
     if left_out:
         warn(without)
     names = [*EXPORTED][: len(EXPORTED) - (others is None)]
-    columns = [np.array(values) for values in zip(*records, strict=True)]
-    table = QTable(dict(zip(names, columns, strict=True)), meta={"folder": str(folder), "left_out": left_out})
+    table = QTable(rows=records, names=names, meta={"folder": str(folder), "left_out": left_out})
     return describe(table, EXPORTED)
 
 

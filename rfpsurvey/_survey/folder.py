@@ -27,19 +27,7 @@ from rfpsurvey._common.read_documents import content_of, is_present
 from rfpsurvey._common.read_fits import read_fits_bytes
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._common.temporary import remove
-from rfpsurvey._survey.generations import (
-    EVENTS,
-    KEPT,
-    MOST_FILE,
-    NEXT,
-    READY,
-    Generation,
-    add_generation,
-    generations_of,
-    read_plans,
-    replace_plan,
-    settle,
-)
+from rfpsurvey._survey import generations as _generations
 from rfpsurvey.errors import InputError, warn
 
 TABLES = ("tiles.fits", "completeness.ecsv", "outcomes.fits")
@@ -94,10 +82,10 @@ class Folder(RequestFolder):
     def __enter__(self):
         if self._is_own and self._begun:
             with locked(self.home, self.home / LOCK, wait=WAIT):
-                replace_plan(self.home)
+                _generations.replace_plan(self.home)
                 self._compare(load_request(self.home / self.request_name), dict(self._request))
             if self._is_new_state:  # the present plan remains until the new plan is complete
-                self.path, plans = self.home / NEXT, read_plans(self.home)
+                self.path, plans = self.home / _generations.NEXT, _generations.read_plans(self.home)
                 for name, checksum in checksums_in(self.home).items():
                     number = dict(plans.get(name, ())).get(checksum, self._request["generation"] - 1)
                     self._former[name] = number, checksum
@@ -143,7 +131,7 @@ class Folder(RequestFolder):
         now = {name: value for name, value in now.items() if name not in ("planned", "generation")}
         self._request |= {"generation": number} | ({} if planned is None else {"planned": planned})
         if not self._is_own:
-            if self._state is None and any(self.path.glob(f"{EVENTS}/*.json")):
+            if self._state is None and any(self.path.glob(f"{_generations.EVENTS}/*.json")):
                 raise InputError(
                     f"{self.path} holds a survey with recorded events; plan the rest with visits=Survey.state(...) "
                     "(or --replan)"
@@ -165,8 +153,8 @@ class Folder(RequestFolder):
         if not first:
             first = {name: before.get(name) for name in ("passes", "tiles", "dates") if name in before}
             del now_first["catalog"]  # the state was computed for the catalog of the first plan
-        own_first = self._for_tiles_of(first, now_first)
-        now_first |= {name: own_first[name] for name in ("passes", "tiles", "dates") if name in own_first}
+        first_of_tiles = self._for_tiles_of(first, now_first)
+        now_first |= {name: first_of_tiles[name] for name in ("passes", "tiles", "dates") if name in first_of_tiles}
         self._is_new_state = {**before, "software": None} != {**now, "software": None}
         if self._is_new_state:
             self._request["generation"] = number + 1
@@ -246,10 +234,10 @@ class Folder(RequestFolder):
             return
         with locked(self.home, self.home / LOCK, wait=WAIT):
             events, today = self._state.present_events(), str(clock().date())
-            before = generations_of(self.home, load_request(self.home / self.request_name))
+            before = _generations.generations_of(self.home, load_request(self.home / self.request_name))
             if before[-1].number != self.generation - 1:
                 raise InputError(f"{self.home} must have the plan that was to be replaced, got one of another run")
-            now = Generation(self.generation, today, len(self._state.events.files))
+            now = _generations.Generation(self.generation, today, len(self._state.events.files))
             recorded = [file for file in events.files if file.n_applied == before[-1].n_files]
             # observations can be reported late
             is_observed = before[-1].date < today or any(event.plan for file in recorded for event in file.tiles)
@@ -257,18 +245,18 @@ class Folder(RequestFolder):
             self._request["planned"] = today
             self._write_request()
             super().finish()
-            add_generation(self.home, self.path, before, now, used, is_observed=is_observed)
+            _generations.add_generation(self.home, self.path, before, now, used, is_observed=is_observed)
             self.release()
-            os.rename(self.path, self.home / READY)
-            replace_plan(self.home)
+            os.rename(self.path, self.home / _generations.READY)
+            _generations.replace_plan(self.home)
         self.path = self.home
 
 
 def read_request(folder: Path) -> dict:
     """Return the request of the survey in a folder, or raise an error if it is damaged; {} if there is none."""
-    settle(folder)
+    _generations.settle(folder)
     path = folder / Folder.request_name
-    if not is_present(path) and not is_present(folder / EVENTS):
+    if not is_present(path) and not is_present(folder / _generations.EVENTS):
         return {}
     request = load_request(path)
     _check_entries(path, request)
@@ -345,7 +333,7 @@ def part_name(tile: int) -> str:
 
 def kept_name(digest: str) -> str:
     """Return the name of the copy of a plan with which a tile was observed, and which the survey later replaced."""
-    return f"{KEPT}/{digest}.fits"
+    return f"{_generations.KEPT}/{digest}.fits"
 
 
 def read_named(path: Path, digest: str) -> bytes:
@@ -360,7 +348,7 @@ def verified(path: Path, digest: str) -> bytes | None:
     """Return the content of a file, or None if it does not exist or has another checksum."""
     if not is_present(path):
         return None
-    content = content_of(path, most=MOST_FILE)
+    content = content_of(path, most=_generations.MOST_FILE)
     return content if hashlib.sha256(content).hexdigest() == digest else None
 
 

@@ -86,12 +86,9 @@ class Living:
             If a tile with a time was observed on another date, and a planned target moved by more than 0.1 arcsec, or
             the state of a positioner changed, between this time and the night of the observation.
         """
-        from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, request_in, tiling_in
-        from rfpsurvey._survey.history.record import Readers, record
+        from rfpsurvey._survey.history.record import record
 
-        readers = groups_in, cadences_in, tiling_in, instruments_in, request_in
         options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run, "swaps": swaps}
-        options["readers"] = Readers(*(partial(reader, self.folder) for reader in readers))
         return record(self, table, enough=enough, tile=tile, columns=columns, **options)
 
     def undo(self, number: int, *, note: str = "", dry_run: bool = False) -> dict:

@@ -28,7 +28,7 @@ from rfpsurvey._survey.folder import with_recorded_moves
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.joint.fixed import JointOptions, as_joint, check_for_cadences
-from rfpsurvey._survey.joint.shares import check_categories
+from rfpsurvey._survey.joint.values import check_categories
 from rfpsurvey._survey.plan_file import write_call
 from rfpsurvey._survey.request import ORDERS, Request, make_request
 from rfpsurvey._survey.run import run

@@ -14,22 +14,8 @@ from rfpsurvey._common.executors import Progress, is_local
 from rfpsurvey._field.facts import model_sentence
 from rfpsurvey._field.verdicts import OUTCOMES
 from rfpsurvey._sky.arrays import has_role
+from rfpsurvey._survey import columns as _columns
 from rfpsurvey._survey.bookkeeping import Bookkeeping, rows_by_class
-from rfpsurvey._survey.columns import (
-    ALSO_SCIENCE,
-    LOST,
-    MOTION,
-    NOT_PLANNED,
-    OUTCOME,
-    PAST,
-    TILES,
-    CountOfRule,
-    counts_in,
-    is_unknown,
-    rule_records,
-    sentences_of,
-    texts_of,
-)
 from rfpsurvey._survey.folder import JOINT, TABLES, Folder
 from rfpsurvey._survey.history.events import TileState
 from rfpsurvey._survey.joint.plan import plan_jointly
@@ -53,19 +39,19 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     sizes = [len(tiles) for tiles in request.rounds]
     # the argsort of a permutation is its inverse, here from rows to places in the order of planning
     table["round"] = np.repeat(np.arange(len(sizes)), sizes)[np.argsort(np.concatenate(request.rounds))]
-    lacking = {name: values for name, values in counts.items() if isinstance(name, CountOfRule)}
+    lacking = {name: values for name, values in counts.items() if isinstance(name, _columns.CountOfRule)}
     counts = {name: values for name, values in counts.items() if name not in lacking}
     if request.joint is not None:
-        counts.pop(LOST, None)  # a joint plan does not determine this number
-    if not np.any(counts.get(ALSO_SCIENCE.name, 0)):
-        counts.pop(ALSO_SCIENCE.name, None)
+        counts.pop(_columns.LOST, None)  # a joint plan does not determine this number
+    if not np.any(counts.get(_columns.ALSO_SCIENCE.name, 0)):
+        counts.pop(_columns.ALSO_SCIENCE.name, None)
     of_state = _state_columns(request)
     for name, values in (of_state | counts).items():
         table[name] = values
     if lacking:
-        table["unmet"] = texts_of(lacking)
-    if any(map(is_unknown, lacking)):
-        table["not_checkable"] = texts_of(lacking, unknown=True)
+        table["unmet"] = _columns.texts_of(lacking)
+    if any(map(_columns.is_unknown, lacking)):
+        table["not_checkable"] = _columns.texts_of(lacking, unknown=True)
     table["collision_rate"] = counts["n_colliding"] / np.maximum(counts["n_counted"], 1)
     table["fiber_use"] = counts["n_assigned"] / np.maximum(request.n_usable, 1)
     centers, near = request.tiling.vectors, request.source.sum_near
@@ -74,7 +60,7 @@ def tile_table(request, state: Bookkeeping, counts: dict, outcomes: QTable) -> Q
     outcome_counts = np.bincount(outcomes["outcome"], minlength=len(OUTCOMES))
     summary = _summary(request, state, counts, outcome_counts, lacking, of_state)
     table.meta = {"summary": summary, "provenance": request.provenance}
-    return describe(table, TILES)
+    return describe(table, _columns.TILES)
 
 
 def _state_columns(request) -> dict[str, np.ndarray]:
@@ -84,7 +70,7 @@ def _state_columns(request) -> dict[str, np.ndarray]:
         return {}
     names, dates, failed = np.full(n, "planned", dtype="U8"), np.full(n, "", dtype="U10"), np.zeros(n, dtype=np.int64)
     names[request.dropped] = "dropped"
-    names[state.past] = PAST  # of the dropped rows, those that were not dropped
+    names[state.past] = _columns.PAST  # of the dropped rows, those that were not dropped
     for row, event in state.kept.items():
         names[row], dates[row] = event.state, event.date
         failed[row] = state.replayed.counts.get(row, {"n_failed": 0})["n_failed"]
@@ -100,7 +86,7 @@ def _summary(request, state, counts, outcome_counts, lacking, of_state) -> dict:
     missed, why = state.never_observed(required)
     targets, complete = int(tally.n_targets.sum()), int(tally.n_complete.sum())
     total = {name: int(values.sum()) for name, values in counts.items()}
-    kept = ~np.isin(of_state["state"], NOT_PLANNED) if of_state else slice(None)
+    kept = ~np.isin(of_state["state"], _columns.NOT_PLANNED) if of_state else slice(None)
     return {
         "n_tiles": len(request.tiling),
         "n_rounds": len(request.rounds),
@@ -118,15 +104,15 @@ def _summary(request, state, counts, outcome_counts, lacking, of_state) -> dict:
         "arm_model": plane.positioner.arm_model,
         **({"margins": str(plane.margins)} if plane.margins else {}),
         "n_obstacle_collisions": total["n_obstacle_collisions"],
-        **{count.name: total[count.name] for count in MOTION if count.name in total},
-        **{name: total[name] for name in (LOST, ALSO_SCIENCE.name) if total.get(name)},
+        **{count.name: total[count.name] for count in _columns.MOTION if count.name in total},
+        **{name: total[name] for name in (_columns.LOST, _columns.ALSO_SCIENCE.name) if total.get(name)},
         "collision_rate": total["n_colliding"] / max(total["n_counted"], 1),
         "collision_rate_assigned": total["n_colliding_assigned"] / max(total["n_assigned"], 1),
         "n_unmet": total["n_unmet"],
         "n_required": len(required),
         "n_required_observed": len(required) - len(missed),
-        "unmet": sentences_of(lacking, tiles) + _never_observed(request.source, missed, why),
-        **({"rules": rule_records(lacking, tiles, kept)} if lacking else {}),
+        "unmet": _columns.sentences_of(lacking, tiles) + _never_observed(request.source, missed, why),
+        **({"rules": _columns.rule_records(lacking, tiles, kept)} if lacking else {}),
         **({} if state.windows is None else {"n_released": int(state.windows.released.sum())}),
         **({} if request.moved is None else {"epoch": request.moved}),
         **({} if request.state is None else request.state.summary),
@@ -172,7 +158,7 @@ def outcome_table(request, state: Bookkeeping) -> QTable:
         table["n_epochs"] = source.by_row(state.windows.n_epochs).astype(np.int16)
         table["released"] = source.by_row(state.windows.released)
     table.meta = {"outcome": {str(k): name for k, name in enumerate(OUTCOMES)}}
-    return describe(table, OUTCOME)
+    return describe(table, _columns.OUTCOME)
 
 
 def run(
@@ -252,7 +238,7 @@ def _enter_observed(request, folder, state, counts, parts) -> list[int]:
             folder.put_part(tile, history.events.plan(tile, event.plan))
         if tile in history.closed:
             counts_of_tile = history.replayed.counts[tile]
-            counts_of_event = counts_in(counts_of_tile, cards) | {"n_observed": counts_of_tile["n_good"]}
+            counts_of_event = _columns.counts_in(counts_of_tile, cards) | {"n_observed": counts_of_tile["n_good"]}
         else:
             job, (visits, cards_of_plan) = request.job(tile, np.ones_like(state.left)), history.events.visits(event)
             done = done_of(visits, cards_of_plan, job, is_kept=True)

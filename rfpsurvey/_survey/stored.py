@@ -16,16 +16,8 @@ from rfpsurvey._common.read_documents import content_of, is_present, sentence
 from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
+from rfpsurvey._survey import columns as _columns
 from rfpsurvey._survey import folder as _folder
-from rfpsurvey._survey.columns import (
-    ALSO_SCIENCE,
-    LOST_TO_RULES,
-    N_LOST,
-    NOT_PLANNED,
-    CountOfRule,
-    counts_in,
-    is_unknown,
-)
 from rfpsurvey._survey.generations import EVENTS, GENERATIONS, NEXT, PLANS, read_generations, read_plans
 from rfpsurvey._survey.history.event_files import COPY, read_events
 from rfpsurvey._survey.history.events import Events, TileState
@@ -71,16 +63,16 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
     """
     every = cards_of(job.model.options)
     # files of earlier versions do not state whether constraints are checkable, and the numbers of lost targets
-    optional = {N_LOST, LOST_TO_RULES.card, ALSO_SCIENCE.card}
+    optional = {_columns.N_LOST, _columns.LOST_TO_RULES.card, _columns.ALSO_SCIENCE.card}
     for card, (count, *_) in every.items():
-        if is_unknown(count) or (is_kept and isinstance(count, CountOfRule)):
+        if _columns.is_unknown(count) or (is_kept and isinstance(count, _columns.CountOfRule)):
             optional.add(card)
     counted = [card for card in every if card in cards or card not in optional]
     if lacking := [card for card in counted if not isinstance(cards.get(card), int)]:
         raise InputError(f"its file lacks {', '.join(lacking)}")
     if wrong := [card for card in counted if not 0 <= cards[card] < 2**53]:
         raise InputError(f"its header card {wrong[0]} must be a number of at least 0, got {cards[wrong[0]]}")
-    cards.setdefault(N_LOST, int(visits["in_collision"].sum()))
+    cards.setdefault(_columns.N_LOST, int(visits["in_collision"].sum()))
     given = visits["target_row"] >= 0
     rows = np.append(job.field.row, -1)
     target = np.where(given, np.searchsorted(job.field.row, visits["target_row"]), -1)
@@ -88,7 +80,7 @@ def done_of(visits: np.ndarray, cards: dict, job, *, is_kept: bool = False) -> D
         raise InputError("its stored result was planned for a different set of targets with remaining visits")
     reach = reach_of(job)
     flags = flags_of(reach.pairs.covered, reach.applied.excluded)
-    return Done(None, None, target, visits["observed"].astype(bool), flags, counts_in(cards, every))
+    return Done(None, None, target, visits["observed"].astype(bool), flags, _columns.counts_in(cards, every))
 
 
 def read_finished(folder: Path, request: Request) -> Survey | None:
@@ -196,8 +188,8 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     if n_strange or not known:
         damaged.setdefault(INDEX, ("must have a line with the checksum of each file, got other lines or none", MADE))
     # a survey that was planned with the events of another folder does not contain them
-    is_own = "events" not in request or "planned" in request or is_present(folder / EVENTS)
-    chain = events or (check(EVENTS, RESTORED, read_events, folder) if is_own else Events(folder))
+    has_events = "events" not in request or "planned" in request or is_present(folder / EVENTS)
+    chain = events or (check(EVENTS, RESTORED, read_events, folder) if has_events else Events(folder))
     events = chain or Events(folder)
     belonging = {REQUEST, INDEX, LOCK, PLANS, GENERATIONS, CHECKPOINT, COPY, RECORD, *known}
     belonging |= {f"{EVENTS}/{number:06d}.json" for number in range(1, len(events.files) + 1)}
@@ -224,7 +216,7 @@ def _damaged(folder: Path, events: Events | None = None, catalog: Catalog | Part
     is_readable = is_begun and not damaged.keys() & {*_folder.TABLES, _folder.JOINT}
     survey = check(REQUEST, RESTORED, Survey.read, folder) if is_readable else None
     states, planned = {} if survey is None else dict(enumerate(survey._states)), []
-    rows = {_folder.part_name(row): row for row, state in states.items() if state not in NOT_PLANNED}
+    rows = {_folder.part_name(row): row for row, state in states.items() if state not in _columns.NOT_PLANNED}
     for name in sorted(name for name in {*known, *rows} if name.startswith("tiles/")):
         if (row := rows.get(name)) is None:
             check(name, MADE, check_file, folder, name, known)

@@ -62,9 +62,7 @@ def test_targets_are_removed_in_the_order_of_collisions(seeds):
         rng = np.random.default_rng(seed)
         options, plan, n_targets = random_candidates(rng)
         order, fixed = rng.permutation(len(plan)), np.zeros(len(plan), dtype=bool)
-        now, blocked = np.full(len(plan), -1), np.zeros(len(options.owner), dtype=np.int64)
-        holder = np.full(n_targets, -1)
-        repair.put_all(plan, options, now, blocked, holder)
+        now, blocked, holder = repair.put_all(plan, options, n_targets)
         repair.drop(options, order, fixed, now, blocked, holder)
         expected, dropped = drop_slowly(options, order, plan)
         assert now.tolist() == expected, seed
@@ -100,9 +98,7 @@ def test_candidates_of_a_group_are_assigned_without_collisions_and_within_all_ma
         count = held[:, plan].sum(axis=1)
         most, need = count + rng.integers(0, 4, 3), int(rng.integers(1, 4))
         order = rng.permutation(np.flatnonzero(~held[0, plan]))
-        now, blocked = np.full(len(plan), -1), np.zeros(len(options.owner), dtype=np.int64)
-        holder = np.full(n_targets, -1)
-        repair.put_all(plan, options, now, blocked, holder)
+        now, blocked, holder = repair.put_all(plan, options, n_targets)
         repair.fill_group(order, need, 0, held, count, most, options, now, blocked, holder)
         expected = fill_slowly(options, order, need, 0, held, most, plan)
         assert now.tolist() == expected.tolist(), seed

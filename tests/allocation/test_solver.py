@@ -153,7 +153,7 @@ def test_programs_have_the_same_optimum_with_and_without_presolve(monkeypatch, c
     """All chunks together solve more than 240 programs."""
     real, solved = _solver.maximize, []
 
-    def maximize(rows, goal, most, deadline, *, integral, gap, presolve, **more):
+    def maximize(rows, goal, most, deadline, *, integral, gap, presolve=True, **more):
         answers = [
             real(rows, goal, most, deadline, integral=integral, gap=0.0, presolve=one, **more) for one in (True, False)
         ]

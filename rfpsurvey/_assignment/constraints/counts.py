@@ -54,7 +54,7 @@ class Group:
     untyped: np.ndarray | None = None
     first: np.ndarray | None = None
 
-    def holds(self, target: np.ndarray, spectrograph: np.ndarray, own: np.ndarray) -> np.ndarray:
+    def holds(self, target: np.ndarray, spectrograph: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Return whether assignments count toward the requirement.
 
         Parameters
@@ -63,7 +63,7 @@ class Group:
             Row of the target of each assignment, or -1 for no target.
         spectrograph : ndarray of int
             Spectrograph that receives the light of each target.
-        own : ndarray of int
+        owner : ndarray of int
             Row of the positioner of each assignment.
 
         Returns
@@ -71,18 +71,18 @@ class Group:
         ndarray of bool
             One value per assignment.
         """
-        inside = self.holds_target(target, own)
+        inside = self.holds_target(target, owner)
         inside = inside if self.spectrograph is None else inside & (spectrograph == self.spectrograph)
-        return inside if self.fibers is None else inside & self.fibers[own]
+        return inside if self.fibers is None else inside & self.fibers[owner]
 
-    def holds_target(self, target: np.ndarray, own: np.ndarray) -> np.ndarray:
+    def holds_target(self, target: np.ndarray, owner: np.ndarray) -> np.ndarray:
         """Return whether assignments count, in whichever part of the tile the positioners are.
 
         Parameters
         ----------
         target : ndarray of int
             Row of the target of each assignment, or -1 for no target.
-        own : ndarray of int
+        owner : ndarray of int
             Row of the positioner of each assignment.
 
         Returns
@@ -91,7 +91,9 @@ class Group:
             One value per assignment.
         """
         inside = np.append(self.targets, False)[target]
-        return inside if self.untyped is None else inside & (~np.append(self.untyped, False)[target] | self.first[own])
+        return (
+            inside if self.untyped is None else inside & (~np.append(self.untyped, False)[target] | self.first[owner])
+        )
 
 
 class CountedTargets:
@@ -125,12 +127,12 @@ class CountedTargets:
         names, inverse = np.unique(self.fiber_type, return_inverse=True)
         return np.append(np.array([index.get(str(name), -1) for name in names], dtype=int)[inverse.reshape(-1)], -1)
 
-    def fiber_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def fiber_of(self, owner: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the index of the fiber type with which each positioner observes its target.
 
         Parameters
         ----------
-        own, target : ndarray of int, shape (k,)
+        owner, target : ndarray of int, shape (k,)
             Rows of positioners and of their targets.
 
         Returns
@@ -138,18 +140,18 @@ class CountedTargets:
         ndarray of int, shape (k,)
             Indices of ``focal_plane.fiber_types``.
         """
-        first = self.focal_plane.arrays.first_index[own]
+        first = self.focal_plane.arrays.first_index[owner]
         if not self.several_fiber_types:
             return first
         code = self._fiber_index[target]
         return np.where(code < 0, first, code)
 
-    def spectrograph_of(self, own: np.ndarray, target: np.ndarray) -> np.ndarray:
+    def spectrograph_of(self, owner: np.ndarray, target: np.ndarray) -> np.ndarray:
         """Return the spectrograph that receives the light of each target through the fiber of its positioner.
 
         Parameters
         ----------
-        own, target : ndarray of int, shape (k,)
+        owner, target : ndarray of int, shape (k,)
             Rows of positioners and of their targets.
 
         Returns
@@ -158,7 +160,7 @@ class CountedTargets:
             Number of the spectrograph for each pair of a positioner and its target.
         """
         table = self.focal_plane.spectrograph
-        return table[own] if table.ndim == 1 else table[own, self.fiber_of(own, target)]
+        return table[owner] if table.ndim == 1 else table[owner, self.fiber_of(owner, target)]
 
     def counts_of(self, target_of: np.ndarray) -> list[int]:
         """Return the number of fibers of a plan that count toward each group of ``groups``.

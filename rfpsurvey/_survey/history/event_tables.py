@@ -7,10 +7,9 @@ from astropy.table import Table
 
 from rfpsurvey._common.io import check_fits_text
 from rfpsurvey._common.units import to_labels, to_plain
-from rfpsurvey._survey.history.event_checks import check_possible, is_known
+from rfpsurvey._survey.history.checks import check_possible, is_known, with_swaps_of
 from rfpsurvey._survey.history.event_files import History, on_date
 from rfpsurvey._survey.history.events import TileEvent, TileState, grouped, to_date
-from rfpsurvey._survey.history.swaps import with_swaps_of
 from rfpsurvey._survey.history.targets import IDS, NUMBERS, TEXTS, flag_codes, to_numbers
 from rfpsurvey._survey.tiling.columns import when_of
 from rfpsurvey.errors import MOST_WHOLE, InputError, check_choice, listed, short, warn
@@ -114,9 +113,7 @@ def columns_of(table: Table, roles: dict[str, str]) -> dict[str, list | None]:
     n, words = len(table), texts_of(table, roles.get("state"))
     return {
         "state": words and [SYNONYMS[check_choice(word.lower(), SYNONYMS, "state of a tile")] for word in words],
-        "good": _flags(table, roles, "good"),
-        "replaces": _flags(table, roles, "replaces"),
-        "swaps": _flags(table, roles, "swaps"),
+        **{role: _flags(table, roles, role) for role in ("good", "replaces", "swaps")},
         "date": [*map(to_date, table[roles["date"]])] if "date" in roles else [""] * n,
         "fraction": to_numbers(table[roles["fraction"]], "fraction").tolist() if "fraction" in roles else None,
         "reason": texts_of(table, roles.get("reason")) or [""] * n,

@@ -21,7 +21,6 @@ from astropy.time import Time
 from rfpsurvey._common.read_fits import read_fits_bytes
 from rfpsurvey._survey.folder import kept_name, parse_visits, part_name, read_named, verified
 from rfpsurvey._survey.generations import EVENTS
-from rfpsurvey._survey.history.swaps import with_swaps
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError
 
@@ -277,6 +276,29 @@ class Events:
         """Return the visits that a tile made, which are those of `visits` after the swaps, and the header cards."""
         visits, cards = self.visits(event)
         return with_swaps(visits, event.swaps), cards
+
+
+def with_swaps(visits: np.ndarray, swaps: dict[str, list]) -> np.ndarray:
+    """Return the visits of a plan after swaps; a positioner without a planned target has an additional row.
+
+    ``swaps`` contains the row, the identifier and the kind of the observed target of each positioner. The columns
+    ``ra``, ``dec`` and those of the catalog are not changed, and are 0 or empty in additional rows.
+    """
+    if not swaps:
+        return visits
+    names = visits["positioner"].astype(str).tolist()
+    names += [name for name in swaps if name not in names]
+    values = [[name, row, target, kind, True, False] for name, (row, target, kind) in swaps.items()]
+    columns = ("positioner", "target_row", "target_id", "kind", "observed", "in_collision")
+    changed = {name: np.array(part) for name, part in zip(columns, zip(*values, strict=True), strict=True)}
+    kinds = [(name, visits.dtype[name]) for name in visits.dtype.names]
+    kinds = [(k, np.promote_types(t, changed[k].dtype) if k in changed and t.kind == "U" else t) for k, t in kinds]
+    swapped, place = np.zeros(len(names), dtype=kinds), [names.index(name) for name in swaps]
+    for name, kind in kinds:
+        swapped[name][: len(visits)] = visits[name]
+        if name in changed:
+            swapped[name][place] = changed[name].astype(kind)
+    return swapped
 
 
 def grouped(pairs: Iterable[tuple]) -> dict:

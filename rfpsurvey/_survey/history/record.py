@@ -4,13 +4,12 @@ Files of SDSS-V that state which fibers were on target are converted to tables o
 """
 
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from datetime import UTC
+from functools import partial
 from getpass import getuser
 from numbers import Integral, Number
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from astropy.table import QTable, Table
@@ -22,10 +21,10 @@ from rfpsurvey._common.folder import LOCK, WAIT, locked, read_index, remove_temp
 from rfpsurvey._common.read_tables import read_table
 from rfpsurvey._field.plan_files import native_format, read_plan
 from rfpsurvey._sky.frames import as_table
-from rfpsurvey._survey.cadences import Cadences
+from rfpsurvey._survey.continue_survey import cadences_in, groups_in, instruments_in, request_in, tiling_in
 from rfpsurvey._survey.folder import TABLES, clock, read_request
 from rfpsurvey._survey.generations import EVENTS, read_generations, replace_plan
-from rfpsurvey._survey.history.dates import warn_of_dates
+from rfpsurvey._survey.history.checks import warn_of_dates
 from rfpsurvey._survey.history.event_files import History, append_events, copied_bodies, read_events, write_copy
 from rfpsurvey._survey.history.event_tables import check_others, columns_of_catalog, renamed, roles_of, tile_events
 from rfpsurvey._survey.history.events import (
@@ -40,7 +39,6 @@ from rfpsurvey._survey.history.events import (
 from rfpsurvey._survey.history.limits import adds_targets, check_limits, with_limits
 from rfpsurvey._survey.history.replay import TileStates
 from rfpsurvey._survey.history.targets import DROPPED, IS_ADDED, kinds_of, target_changes
-from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, check_switch, listed, number_of, refusal, warn
@@ -72,30 +70,7 @@ CHANGES = {
 }
 
 
-class Readers(NamedTuple):
-    """Functions that read what the folder of a survey describes."""
-
-    groups: Callable[[str], dict[str, str]]  # see `History`
-    cadences: Callable[[], Cadences]
-    tiling: Callable[[], Tiling | None]
-    instruments: Callable[[Time], list]  # see `warn_of_dates`
-    request: Callable[[], Request]  # of the rest of the survey
-
-
-def record(
-    survey,
-    table: object,
-    *,
-    enough: float,
-    tile: object,
-    columns: dict | None,
-    note: str,
-    replaces: bool,
-    swaps: bool,
-    allow_future: bool,
-    dry_run: bool,
-    readers: Readers,
-) -> dict:
+def record(survey, table, *, enough, tile, columns, note, replaces, swaps, allow_future, dry_run) -> dict:
     """Append events to the folder of a survey; see `Survey.record`."""
     if isinstance(enough, bool) or not isinstance(enough, Number) or not 0 < enough < np.inf:
         raise refusal("enough must be a number above 0", enough, Number)
@@ -126,15 +101,15 @@ def record(
         replace_plan(folder)
         events = _events_to_extend(folder, dry_run=dry_run)
         survey = _present_survey(survey, folder)
-        history = History(survey, folder, events, readers.groups, readers.request)
+        history = History(survey, folder, events, partial(groups_in, folder), partial(request_in, folder))
         changes, tiles, n_known, n_ignored = None, [], 0, 0
         has_cadences = "cadences" in survey.provenance["parameters"]
         if not is_of_tiles:
             table = with_limits(renamed(table, named), roles, kinds_of(survey))
             changes, n_known = target_changes(table, events, survey)
             if has_cadences and (column := survey.provenance["rule_columns"][-1]) in changes.colnames:
-                readers.cadences()._rows_of(changes[column])  # raises an error if a cadence is unknown
-            check_limits(changes, history, readers.tiling, has_cadences=has_cadences)
+                cadences_in(folder)._rows_of(changes[column])  # raises an error if a cadence is unknown
+            check_limits(changes, history, partial(tiling_in, folder), has_cadences=has_cadences)
         else:
             dropped = {*history.states.dropped}
             tiles, n_known, n_ignored = tile_events(table, roles, history, enough, tile, replaces=replaces, swaps=swaps)
@@ -152,7 +127,7 @@ def record(
         dates = [event.date for event in tiles] if changes is None else changes["date"].tolist()
         if not allow_future:
             check_not_future(dates)
-        warn_of_dates(tiles, events, readers.instruments)
+        warn_of_dates(tiles, events, partial(instruments_in, folder))
         n_events = len(tiles) + (0 if changes is None else len(changes))
         if n_events and not dry_run:
             append_events(history, tiles, changes, table, told)

@@ -170,18 +170,18 @@ class VisitRule(Settings):
         """Return visits and priorities, changed by the first row of the table that selects each target."""
         free = np.ones(len(visits), dtype=bool)
         visits, new = visits.astype(np.uint8), None if priority is None else priority.astype(float)
-        for name, observed, last, own_priority, own_visits in self._rows:
+        for name, observed, last, row_priority, row_visits in self._rows:
             rows = free & _of_class(name, priority, columns["category"], len(visits))
             if observed >= 0:
                 rows &= columns["observed"] == observed
             if last != ANY:
                 rows &= columns["last"] == LAST.index(last)
             free &= ~rows
-            if own_visits == own_visits:
-                visits[rows] = own_visits
-            if own_priority == own_priority:
+            if row_visits == row_visits:
+                visits[rows] = row_visits
+            if row_priority == row_priority:
                 new = np.zeros(len(visits)) if new is None else new
-                new[rows] = own_priority
+                new[rows] = row_priority
         return visits, new
 
     @cached_property

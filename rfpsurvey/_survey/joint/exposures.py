@@ -6,19 +6,20 @@ scheduled, with collisions. Pairs that collide in every schedule are omitted, an
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
-from scipy.sparse import csr_array, hstack, vstack
+from scipy.sparse import csr_array
 
 from rfpsurvey._assignment.clock import now
-from rfpsurvey._assignment.solver import maximize, with_errors
+from rfpsurvey._assignment.solver import sums_by_group
 from rfpsurvey._assignment.weighted import TileCandidates
 from rfpsurvey._kernels import exposures as kernels
 from rfpsurvey._survey.joint.fixed import TilePlan
 from rfpsurvey._survey.joint.network import Network
-from rfpsurvey._survey.joint.shares import UNITS, Shares
-from rfpsurvey._survey.joint.values import starts_of
+from rfpsurvey._survey.joint.programs import Goals, maximize_goals
+from rfpsurvey._survey.joint.values import UNITS, Shares, starts_of
 from rfpsurvey._survey.work import reach_of
 
 # Numbers of reachable pairs of all tiles, and of exposures of each field, above which the search considers only chosen
@@ -236,21 +237,12 @@ class Exposures:
         if n == 0 or n + m > MOST_VARIABLES:
             return (0.0 if n == 0 and shares is None else np.inf), order
         fibers, number = np.unique(used, return_inverse=True)
-        single = csr_array((np.ones(n), (number.reshape(-1), np.arange(n))), shape=(len(fibers), n))
-        visits = csr_array((np.full(n, -1.0), (kind, np.arange(n))), shape=(m, n))
-        link = csr_array((kinds[:, 0].astype(float), (np.arange(m), np.arange(m))), shape=(m, m))
-        matrix = vstack([hstack([single, csr_array((len(fibers), m))]), hstack([visits, link])], format="csr")
-        high = np.append(self.room[fibers], np.zeros(m)).astype(float)
-        goal, most = np.append(np.zeros(n), levels[kinds[:, 2]]), np.append((kinds[:, 0] * size)[kind], size)
+        needed, worth, most = kinds[:, 0].astype(float), levels[kinds[:, 2]], (kinds[:, 0] * size)[kind].astype(float)
+        goals = Goals(np.arange(m), needed, worth, size.astype(float))
+        program = sums_by_group(number, len(fibers)), self.room[fibers].astype(float), kind, most, goals
         if shares is not None:
-            k = len(shares.size)
-            count = csr_array((np.full(m, -1.0), (kinds[:, 1], n + np.arange(m))), shape=(k, n + m))
-            unit = csr_array((shares.size * shares.weight / UNITS)[:, None])
-            matrix = vstack([hstack([matrix, csr_array((len(high), 1))]), hstack([count, unit])], format="csr")
-            high = np.append(high, shares.count(self.is_finished))
-            goal, most = np.append(0.0 * goal, 1.0), np.append(most, UNITS / shares.weight.min())
-        program = matrix, np.full(len(high), -np.inf), high
-        x, bound = maximize(program, goal, most.astype(float), deadline, integral=False, gap=0.0, presolve=True)
+            shares = replace(shares, group=kinds[:, 1], before=shares.count(self.is_finished))
+        x, bound = maximize_goals(*program, shares, deadline, integral=False)
         if x is not None:
             # the first targets of each kind in a random order are finished
             z, shuffled = x[n : n + m], np.random.default_rng(0).permutation(len(rows))
@@ -260,7 +252,7 @@ class Exposures:
             position[place] = np.arange(len(rows)) - np.repeat(np.cumsum(size) - size, size)
             rest = np.where(position + 1 <= z[kind_of] + 1e-6, 0, np.where(position < z[kind_of] - 1e-6, 1, 2))
             order[rows[shuffled]] = rest
-        return with_errors(bound, n + m) / (1 if shares is None else UNITS), order
+        return bound / (1 if shares is None else UNITS), order
 
     @cached_property
     def _pairs(self) -> kernels.Pairs:

@@ -12,17 +12,16 @@ from functools import cached_property
 from time import time
 
 import numpy as np
-from scipy.sparse import csr_array, hstack, vstack
+from scipy.sparse import block_array, csr_array
 
 from rfpsurvey._assignment.clock import now
 from rfpsurvey._assignment.weighted import WeightedProblem, solve_weighted
 from rfpsurvey._common.executors import map_in_order
 from rfpsurvey._kernels import paths as path_kernels
-from rfpsurvey._survey.joint.equal_tiles import EqualTiles
 from rfpsurvey._survey.joint.exposures import colliding, without_collisions
 from rfpsurvey._survey.joint.network import Network, Patches, divide
+from rfpsurvey._survey.joint.programs import EqualTiles, solve_balanced
 from rfpsurvey._survey.joint.search import FOR_PRICES, MOST_EDGES
-from rfpsurvey._survey.joint.shares import solve_balanced
 from rfpsurvey._survey.joint.values import class_weights, steps_of
 from rfpsurvey._survey.joint.windows import PASSES, WHOLE, WindowSearch, dates_of
 
@@ -316,7 +315,7 @@ class FinishedSearch(WindowSearch):
         place[goals] = np.arange(m)
         some = np.flatnonzero(place[target] >= 0)
         visits = csr_array((np.full(len(some), -1.0), (place[target[some]], some)), shape=(m, n))
-        sets = vstack([hstack([problem.sets, csr_array((problem.sets.shape[0], q + m))]), hstack([visits, link])])
+        sets = block_array([[problem.sets, None], [visits, link]], format="csr")
         gain = np.zeros(q + m)
         gain[column] = weights[network.rank_of_target[of_step]] * (steps.value[open_steps] - before[of_step])
         unit = self.worth.smallest_gain * min(weights[weights > 0].min(initial=1.0), 1.0)
@@ -330,7 +329,7 @@ class FinishedSearch(WindowSearch):
         first = np.append(problem.first, n + ends - 1 - number + np.where(reached > 0, reached - 1, number))
         gap = 0.5 * (tie or 0.5 * unit) / max(float(np.maximum.reduceat(weight, start[:-1]).sum()), 1e-12)
         most = np.append(problem.most, np.zeros(m))
-        return rows, WeightedProblem(start, weight, csr_array(sets), most, first, nodes, gap, deadline), goals
+        return rows, WeightedProblem(start, weight, sets, most, first, nodes, gap, deadline), goals
 
     def _take(self, members, problem, chosen) -> None:
         """Use the result of a program if the plan that it gives finishes at least as many targets, class by class."""

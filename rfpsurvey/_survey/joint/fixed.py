@@ -23,8 +23,7 @@ from rfpsurvey._field.targets import FieldBuilder
 from rfpsurvey._instruments.focal_plane import FocalPlane
 from rfpsurvey._sky.arrays import SkyIndex, has_role
 from rfpsurvey._sky.time import to_time
-from rfpsurvey._survey.joint.shares import weights_in
-from rfpsurvey._survey.joint.values import to_objective
+from rfpsurvey._survey.joint.values import to_objective, weights_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import places_of_tiles, when_of
 from rfpsurvey._survey.tiling.tiling import Tiling

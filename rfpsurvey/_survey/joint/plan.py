@@ -25,8 +25,7 @@ from rfpsurvey._survey.joint.finished import FinishedSearch
 from rfpsurvey._survey.joint.fixed import TilePlan, candidates_of, fixed_tiles, with_roles
 from rfpsurvey._survey.joint.network import Network, make_network
 from rfpsurvey._survey.joint.search import FOR_PRICES, Search, levels_of, table_of
-from rfpsurvey._survey.joint.shares import Shares
-from rfpsurvey._survey.joint.values import class_weights, worth_of
+from rfpsurvey._survey.joint.values import Shares, class_weights, worth_of
 from rfpsurvey._survey.joint.windows import WindowSearch
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.work import Done, Job, plan_of, projection_of, run_rounds
@@ -140,13 +139,13 @@ def _finish_exposures(request, plans: list, fixed: dict) -> tuple:
         counted = exposures.in_field & (class_of < len(names)), (builder.wanted > 0) & (builder.left == 0)
         shares = Shares.of(share, request.source.by_slot("category"), *counted)
     end = now() + FOR_PRICES * min(request.joint.seconds, 1e9)
-    found, listed = exposures.finish(plans, shares, request.seed, end)
-    starts, n = [found], len(names)
+    finishing, listed = exposures.finish(plans, shares, request.seed, end)
+    starts, n = [finishing], len(names)
     weights = class_weights(n)[np.minimum(class_of[exposures.slots], n - 1)]
     first = exposures.relax(weights, end, shares)[1]
     if (first < 2).any():
-        found, further = exposures.finish(plans, shares, request.seed, end, first)
-        starts.append(found)
+        finishing, further = exposures.finish(plans, shares, request.seed, end, first)
+        starts.append(finishing)
         listed |= further
     if not exposures.is_large:
         return None, shares, starts, None

@@ -1,8 +1,10 @@
-"""Values of targets that depend on the numbers of their visits; a joint plan maximizes the sum of the values.
+"""Values of targets that depend on the numbers of their visits, and shares of finished targets of categories.
 
-A *step* is a number of visits of a target with a larger value than that of any smaller number.
+A joint plan maximizes the sum of the values. A *step* is a number of visits of a target with a larger value than that
+of any smaller number. With shares, the smallest finished fraction of the categories is first as large as possible.
 """
 
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -13,6 +15,8 @@ from rfpsurvey._survey.joint.network import Network
 from rfpsurvey.errors import InputError, check_choice, listed
 
 OBJECTIVES = "finished", "visits"
+# Name of the column of categories, and number of units of a fraction of finished targets.
+COLUMN, UNITS = "category", 10_000
 # Largest ratio of the weights of two classes.
 STEEPEST = 1e4
 
@@ -156,3 +160,102 @@ def worth_of(objective: str, visits: np.ndarray, category: np.ndarray | None) ->
 def _worth(table: dict[int, float]) -> np.ndarray:
     """Return the values of no visits, and of at least each number of visits of a table."""
     return np.append(0.0, [table[number] for number in sorted(table)])
+
+
+def weights_in(text: str) -> dict[str, float]:
+    """Return the weight of each category in a text such as ``"main=2 guest=1"``; no weights for ``"category"``."""
+    if text == COLUMN:
+        return {}
+    weights = {}
+    for word in text.split():
+        name, _, value = word.rpartition("=")
+        if name in weights:
+            raise InputError(f"share must have one weight for each category, got several for {name!r}")
+        try:
+            weights[name] = float(value)
+        except ValueError:
+            weights[name] = np.nan
+        if not name or not 0 < weights[name] < np.inf:
+            raise InputError(
+                f"share must be 'category', or weights above 0 of categories such as 'main=2 guest=1', got {text!r}"
+            )
+    if not weights:
+        raise InputError(f"share must be 'category', or weights of categories, got {text!r}")
+    return weights
+
+
+def check_categories(joint, category: np.ndarray | None, wanted: np.ndarray) -> None:
+    """Raise an error if options of a joint plan need categories that the targets do not have.
+
+    ``wanted`` is the requested number of visits of each science target.
+    """
+    for name, is_given in {
+        "share requires": joint.share,
+        "values of categories require": ":" in joint.objective,
+    }.items():
+        if is_given and category is None:
+            raise InputError(f"{name} a catalog with categories, got a catalog without the column category")
+    names = set() if category is None else {*category[wanted > 0].tolist()}
+    if joint.share and (unknown := sorted({*weights_in(joint.share)} - names)):
+        raise InputError(
+            f"share must name categories of targets with requested visits ({listed(sorted(names), 8)}), got "
+            f"{listed(unknown)}"
+        )
+    values = {*values_in(joint.objective)} if ":" in joint.objective else {""}
+    if "" not in values and not names <= values <= {*category.tolist()}:
+        raise InputError(
+            "objective must contain values of all categories of targets "
+            f"({listed(sorted(names), 8)}) and of no others, got {listed(sorted(values), 8)}"
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Shares:
+    """The category of each target, and the number of targets and the weight of each category."""
+
+    names: tuple[str, ...]
+    group: np.ndarray  # -1 for targets that do not count
+    size: np.ndarray
+    weight: np.ndarray
+    before: np.ndarray  # number of targets that were finished before, which are not in the network
+
+    @classmethod
+    def of(cls, text: str, category: np.ndarray, counted: np.ndarray, is_finished: np.ndarray) -> "Shares":
+        """Return the shares of the targets that are ``counted``; all arrays are in the order of slots.
+
+        ``is_finished`` is whether all visits of each target were made before.
+        """
+        weights = weights_in(text)
+        names, group = np.unique(np.append(category[counted], category[is_finished]), return_inverse=True)
+        group, n = group.reshape(-1), int(counted.sum())
+        if unknown := sorted({*weights} - {*names.tolist()}):
+            raise InputError(
+                f"share must name categories of targets in the fields ({listed(names.tolist(), 8)}), got "
+                f"{listed(unknown)}"
+            )
+        of_slot = np.full(len(counted), -1)
+        of_slot[counted] = group[:n]
+        size, before = (np.bincount(some, minlength=len(names)) for some in (group, group[n:]))
+        return cls(tuple(names.tolist()), of_slot, size, np.array([weights.get(name, 1.0) for name in names]), before)
+
+    def on(self, slot: np.ndarray) -> "Shares":
+        """Return the shares with the category of each target with a slot, or a negative number."""
+        known = (slot >= 0) & (slot < len(self.group))
+        return replace(self, group=np.where(known, self.group[np.where(known, slot, 0)], -1))
+
+    def count(self, done: np.ndarray) -> np.ndarray:
+        """Return the number of finished targets of each category."""
+        return self.before + np.bincount(self.group[(done > 0) & (self.group >= 0)], minlength=len(self.names))
+
+    def fractions(self, number: np.ndarray) -> np.ndarray:
+        """Return the finished fraction of each category divided by its weight."""
+        return number / (self.size * self.weight)
+
+    def record(self, done: np.ndarray, bound: float) -> dict:
+        """Return the finished targets of each category, and an upper bound of the smallest weighted fraction."""
+        number = self.count(done)
+        rows = [
+            {"category": name, "weight": float(w), "n_targets": int(n), "n_complete": int(k), "fraction": float(k / n)}
+            for name, w, n, k in zip(self.names, self.weight, self.size, number, strict=True)
+        ]
+        return {"shares": rows, "bound_of_smallest": float(min(bound, (1.0 / self.weight).min()))}

@@ -18,8 +18,8 @@ from rfpsurvey._kernels.paths import TOLERANCE
 from rfpsurvey._survey.bookkeeping import Bookkeeping
 from rfpsurvey._survey.cadences import NIGHT
 from rfpsurvey._survey.joint.network import Network, Patches, Paths
+from rfpsurvey._survey.joint.programs import SequenceProgram, all_sequences
 from rfpsurvey._survey.joint.search import FOR_PRICES, JointSearch, Step
-from rfpsurvey._survey.joint.sequences import SequenceProgram, all_sequences
 from rfpsurvey._survey.joint.values import starts_of
 
 # Largest number of candidates, and of sequences, up to which one program contains all tiles.
@@ -47,7 +47,7 @@ class WindowSearch(JointSearch):
         self._place_of = place_of
         self._work, self._picked = _work_for(self._dates)
         n_places = len(self._dates.p_tile)
-        self._cost, self._found = np.empty(n_places), np.empty(n_places, np.int64)
+        self._cost, self._candidate = np.empty(n_places), np.empty(n_places, np.int64)
         self._used = np.full(n_places, -1)
         self._use(self.chosen)
         self.bounds_complete = self.bounds.copy()
@@ -155,7 +155,7 @@ class WindowSearch(JointSearch):
             order = rng.permutation(np.flatnonzero(real & (self._done[:, 0] == 0)))
             rolls = rng.integers(0, 1 << 30, (len(order), kernels.MOST_REMOVED + 4))
             state = self.chosen, self._load, self._used, self._done
-            work = self._cost, self._found, self._work, self._picked
+            work = self._cost, self._candidate, self._work, self._picked
             kernels.move(order, rolls, self._links, self._dates, *state, *work, gain)
 
     def _solve_all(self) -> None:
@@ -171,8 +171,9 @@ class WindowSearch(JointSearch):
         load = network.columns @ np.bincount(self.chosen, minlength=len(network.target)).astype(float)
         limits, deadline = np.append(network.most, self.limits), now() + min(self._limit - self.seconds, 1e9)
         rows, problem = patches.within(0, self.chosen, load, limits, np.zeros(len(network.target)), deadline, 0.5)
-        rank, per = network.rank_of_target[sequences.target], (sequences.whole, sequences.visits)
-        program = SequenceProgram(problem, self._place_of[rows], sequences)
+        target, visits, whole, uses = sequences
+        rank, per = network.rank_of_target[target], (whole, visits)
+        program = SequenceProgram(problem, self._place_of[rows], target, uses)
         has_all = network.usable.all() and not network.free.any()
         for k, j in reversed([*product(range(len(self.levels)), range(2))]):
             bounds, is_first = (self.bounds_complete, self.bounds)[j], (k, j) == (0, 0)
