@@ -12,7 +12,6 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import command as _command
 from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli import surveys as _surveys
 from rfpsurvey._cli.command import command
@@ -159,7 +158,7 @@ def record(
         else:
             print(f"record {undo} undone; to plan the rest: rfpsurvey survey {folder} --replan")
         return
-    columns = _command.pairs(column or [], "--column", "ROLE=NAME")
+    columns = _app.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
     options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run, "swaps": swaps}
     said = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)

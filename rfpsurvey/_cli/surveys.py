@@ -13,7 +13,7 @@ from time import perf_counter
 import rfpsurvey as rs
 from rfpsurvey._cli.printing import files, print_facts, print_model, print_table, print_text
 from rfpsurvey._cli.process import set_up_worker, tell_if_interrupted
-from rfpsurvey._common.executors import end_with_parent, released
+from rfpsurvey._common.executors import released
 from rfpsurvey._survey import key_groups, key_objects
 from rfpsurvey._survey.columns import survey_facts
 
@@ -61,7 +61,7 @@ def workers(keys):
         if processes:
             # multiprocessing would warn about resources that it removes after the process was interrupted
             sys.warnoptions.append("ignore::UserWarning:multiprocessing.resource_tracker")
-            pool = ProcessPoolExecutor(number, _Context(), initializer=_set_up_worker)
+            pool = ProcessPoolExecutor(number, _Context(), initializer=set_up_worker)
         else:
             pool = ThreadPoolExecutor(number)
         with released(pool):
@@ -85,11 +85,6 @@ class _Worker(SpawnProcess):
 
 class _Context(SpawnContext):
     Process = _Worker
-
-
-def _set_up_worker() -> None:
-    set_up_worker()
-    end_with_parent()
 
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
