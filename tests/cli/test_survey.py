@@ -13,7 +13,7 @@ from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from rfpsurvey._cli import process as _process
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._survey.key_groups import WorkerKeys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
@@ -272,12 +272,12 @@ def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeyp
                 return pool
 
         monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
-        with _surveys.workers(WORKERS) as executor:
+        with _results.workers(WORKERS) as executor:
             assert executor is pool
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(rs.InputError, match=r"scheduler needs dask \(pip install 'rfpsurvey\[distributed\]'\)"),
-        _surveys.workers(WORKERS),
+        _results.workers(WORKERS),
     ):
         pass
 
