@@ -137,6 +137,8 @@ def _checked_content(path: Path) -> bytes:
 BLOCK = 2**22
 # Largest number of blank lines and comments in a file, in addition to ten such lines per row of the table.
 MOST_IDLE = 1_000_000
+NEWLINE, BEFORE_IDLE = ord("\n"), list(b"\n\r \t#")
+"""Codes of a line break, and of the first characters of blank lines and comments."""
 
 
 def line_number(content: bytes, where: int) -> int:
@@ -156,46 +158,50 @@ def count_lines(path: Path, content: bytes, begin: int, delimiter: bytes, *, rag
         begins = rb'(?:^|(?<=%s))[%s]*"' % (re.escape(delimiter), blanks)
     opened = re.compile(begins, re.MULTILINE)
     quoted = re.compile(begins + rb'[^"\n]*+(?:""[^"\n]*+)*+"', re.MULTILINE)
-    n_lines, n_idle, longest, at, n_fields = 0, 0, 0, 0, 0
+    number, n_lines, n_idle, longest, at, n_fields = line_number(content, begin) - 1, 0, 0, 0, 0, 0
     while begin < len(content):
         end = content.find(b"\n", begin + BLOCK) + 1 or len(content)
-        rows = DATA.findall(content, begin, end)
-        text = quoted.sub(b"x", b"\n".join(rows)) if content.find(b'"', begin, end) >= 0 else b""
-        numbers = [row.count(delimiter) + 1 for row in (text.split(b"\n") if text else rows)]
-        if unclosed := opened.search(text):
-            numbers[line_number(text, unclosed.start()) - 1] = 0
-        n_fields = n_fields or next(iter(numbers), 0)
+        block = content[begin:end]
+        text = quoted.sub(b"x", block) if b'"' in block else block
+        codes, ends = np.frombuffer(text, np.uint8), _ends_of_lines(text)
+        numbers = np.diff(np.searchsorted(np.flatnonzero(codes == delimiter[0]), ends), prepend=0) + 1
+        if b'"' in text:
+            numbers[np.searchsorted(ends, [unclosed.start() for unclosed in opened.finditer(text)])] = 0
+        starts = np.append(0, ends[:-1] + 1)
+        unusual = np.flatnonzero(np.isin(codes[starts], BEFORE_IDLE)).tolist()
+        idle = [k for k in unusual if not DATA.match(text, starts[k], ends[k])]
+        rows = np.delete(np.arange(len(ends)), idle)
+        n_fields = n_fields or int(next(iter(numbers[rows]), 0))
         if n_fields > MOST_COLUMNS and not ragged:
             raise InputError(f"{path}: a table must have at most {MOST_COLUMNS} columns, got {n_fields}")
-        for k, number in enumerate(numbers):
-            if number == 0:
+        for k in rows[(numbers[rows] == 0) | ((numbers[rows] != n_fields) & (not ragged))]:
+            if numbers[k] == 0:
                 raise InputError(
                     f"{path}: a quoted value must end in the line in which it begins, got an unclosed quotation mark "
-                    f"in line {_number_of_row(content, begin, k)}"
+                    f"in line {number + k + 1}"
                 )
-            if number != n_fields and not ragged:
-                raise InputError(
-                    f"{path}: line {_number_of_row(content, begin, k)} must have {n_fields} fields, like the first "
-                    f"line, got {number} fields"
-                )
-        widest = max(rows, key=len, default=b"")
-        if len(widest) > longest:
-            longest, at = len(widest), _number_of_row(content, begin, rows.index(widest))
-        n_lines += len(rows)
-        n_idle += content.count(b"\n", begin, end - 1) + 1 - len(rows)
+            raise InputError(
+                f"{path}: line {number + k + 1} must have {n_fields} fields, like the first line, got {numbers[k]} "
+                "fields"
+            )
+        lengths = np.diff(_ends_of_lines(block), prepend=-1) - 1
+        if lengths.max() > longest:
+            longest, at = int(lengths.max()), number + int(lengths.argmax()) + 1
+        n_lines, n_idle = n_lines + len(rows), n_idle + len(idle)
+        number, begin = number + len(ends), end
         if n_idle > MOST_IDLE + 10 * n_lines:
             raise InputError(
                 f"{path}: most lines must be rows of the table, got {n_idle} blank lines and comments up to "
-                f"line {line_number(content, end - 1)}"
+                f"line {number}"
             )
-        begin = end
     check_width(path, n_lines, longest, len(content), f"line {at}")
     return n_lines
 
 
-def _number_of_row(content: bytes, begin: int, k: int) -> int:
-    """Return the number of the line with the k-th row after the byte at offset ``begin``, counted from 0."""
-    return line_number(content, next(islice(DATA.finditer(content, begin), k, None)).start())
+def _ends_of_lines(text: bytes) -> np.ndarray:
+    """Return the offset of the end of each line."""
+    ends = np.flatnonzero(np.frombuffer(text, np.uint8) == NEWLINE)
+    return ends if text.endswith(b"\n") else np.append(ends, len(text))
 
 
 def find_names(path: Path, content: bytes) -> tuple[bytes, bytes, dict[str, str]]:
