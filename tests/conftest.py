@@ -32,6 +32,12 @@ settings.load_profile("rfpsurvey")
 KERNELS = {"allocation", "collision", "probability"}
 
 
+def pytest_configure(config):
+    """Sort files by folder, because pytest loses the fixtures of a folder to which it returns."""
+    paths = {arg: Path(arg.partition("::")[0]).resolve() for arg in config.args}
+    config.args.sort(key=lambda arg: paths[arg] if paths[arg].is_dir() else paths[arg].parent)
+
+
 def _parameters_of(test):
     """Return the parameters of a test; the indices of pytest differ for equal values of one of several parameters."""
     return {(name, repr(value)) for name, value in test.callspec.params.items()}

@@ -40,7 +40,7 @@ if __name__ == "__main__":
 COMMAND = """
 import os, sys, time
 from rfpsurvey._survey.key_groups import WorkerKeys
-from rfpsurvey._cli.surveys import workers
+from rfpsurvey._cli.results import workers
 
 if __name__ == "__main__":
     with workers(WorkerKeys(2, processes=True)) as pool:

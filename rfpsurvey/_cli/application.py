@@ -8,7 +8,7 @@ import sys
 import warnings
 from concurrent.futures import BrokenExecutor
 from contextlib import suppress
-from functools import cache
+from functools import cache, partial
 from importlib import import_module
 from itertools import pairwise
 from textwrap import indent
@@ -85,8 +85,6 @@ class Commands(TyperGroup):
         gc.set_threshold(50_000, 20, 1000)
         gc.disable()
         try:
-            from rfpsurvey._cli.compiling import announce_compilation  # imports numba
-
             import_module(f"rfpsurvey._cli.{MODULES.get(name, name)}")
             if name not in self.commands:
                 self.commands[name] = typer.main.get_command(app).commands[name]
@@ -101,6 +99,24 @@ class Commands(TyperGroup):
         """Write the list of commands."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
+
+
+def announce_compilation() -> None:
+    """Prepare a message that is printed when numba compiles a function, but only if standard error is a terminal."""
+    if not sys.stderr.isatty():
+        return
+    from numba.core import event  # the list of commands needs no numba
+
+    text = "rfpsurvey: compiling functions for this machine; this happens only once and takes a few seconds"
+    tell = cache(partial(print, text, file=sys.stderr))  # a second call prints nothing
+
+    class Announcement(event.Listener):
+        def on_start(self, _) -> None:
+            tell()
+
+        on_end = on_start
+
+    event.register("numba:compile", Announcement())
 
 
 app = typer.Typer(

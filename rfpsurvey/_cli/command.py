@@ -14,7 +14,7 @@ from astropy.table import Table
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli.printing import PICTURES, print_text
+from rfpsurvey._cli.results import PICTURES, print_text
 from rfpsurvey._common.files import WRITABLE, check_output, check_separate, is_csv, is_fits
 from rfpsurvey._common.io import check_fits_text, write_bytes
 from rfpsurvey._common.read_tables import is_number, read_table

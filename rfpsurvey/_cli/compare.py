@@ -12,8 +12,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import printing as _print
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.io import write_table
 from rfpsurvey._field.recorded import north_of_date
@@ -92,7 +91,7 @@ def compare(keys: CompareKeys) -> None:
     ]
     if keys.catalog.path is None:
         key_objects.warn_without_catalog(keys.catalog)
-    with _surveys.workers(keys) as executor:
+    with _results.workers(keys) as executor:
         table = rs.compare_instruments(
             "poisson" if keys.catalog.path is None else _app.read_catalog(keys.catalog),
             models or None,
@@ -108,7 +107,7 @@ def compare(keys: CompareKeys) -> None:
             position_angle=keys.position_angle,
             epoch=keys.epoch,
         )
-    with _print.files(
+    with _results.files(
         keys.output,
         write=partial(write_table, table),
         draw=lambda: rs.plot.draw_instruments(table),
@@ -119,15 +118,15 @@ def compare(keys: CompareKeys) -> None:
 
 def _print_comparison(table, *, with_margins: bool) -> None:
     """Print a comparison of instruments."""
-    _print.print_text(table.meta["way"])
+    _results.print_text(table.meta["way"])
     for name, model in table.meta["instruments"].items() if with_margins else ():
         values = ", ".join(f"{key} {value:g}" for key, value in model.get("margins", {}).items())
         print(f"margins of {name}: {values or 'none'}")
     for title, part in parts_of(table).items():
         print(f"\n{title}")
-        _print.print_table(part)
+        _results.print_table(part)
     print()
-    _print.print_text(table.meta["comparable"], "")
+    _results.print_text(table.meta["comparable"], "")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,7 +183,7 @@ def compare_allocators(keys: CompareAllocatorsKeys, _: Given) -> None:
             epoch=keys.epoch,
             rng=keys.rng,
         )
-    _print.finish_comparison(table, plans, keys.output)
+    _results.finish_comparison(table, plans, keys.output)
 
 
 benchmark = typer.Typer(
@@ -275,13 +274,13 @@ def collisions(keys: CollisionsKeys) -> None:
     output = _app.check_chart(keys.output)
     options = {"methods": keys.methods, "repeats": keys.repeats, "rng": keys.rng, "progress": sys.stderr.isatty()}
     table = rs.benchmark.benchmark_collisions(_app.model_of(keys.instrument), **options)
-    _print.finish_table(table, rs.plot.plot_speed_accuracy, output)
+    _results.finish_table(table, rs.plot.plot_speed_accuracy, output)
 
 
 @command(BatchesKeys, OPTIONS, app=benchmark, epilog=EXAMPLES)
 def batches(keys: BatchesKeys) -> None:
     """Measure how long the CPU and, if available, a GPU take to count the collisions of many configurations."""
-    _print.print_table(rs.benchmark.benchmark_batches(_app.model_of(keys.instrument), repeats=keys.repeats))
+    _results.print_table(rs.benchmark.benchmark_batches(_app.model_of(keys.instrument), repeats=keys.repeats))
 
 
 @command(ProbabilityKeys, OPTIONS + OUTPUT, app=benchmark, epilog=EXAMPLES)
@@ -294,7 +293,7 @@ def probability(keys: ProbabilityKeys) -> None:
     """
     output = _app.check_chart(keys.output)
     model, options = _app.model_of(keys.instrument), {"rng": keys.rng}
-    _print.print_table(rs.benchmark.benchmark_densities(model, **options))
+    _results.print_table(rs.benchmark.benchmark_densities(model, **options))
     options |= {"repeats": keys.repeats, "progress": sys.stderr.isatty()}
     table = rs.benchmark.benchmark_probability(model, **options)
-    _print.finish_table(table, rs.plot.plot_probability_accuracy, output)
+    _results.finish_table(table, rs.plot.plot_probability_accuracy, output)

@@ -12,9 +12,9 @@ from astropy.table import vstack
 import rfpsurvey as rs
 from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import process as _process
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.printing import files, print_text
+from rfpsurvey._cli.results import files, print_text
 from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._studies.design import LossOptions
 from rfpsurvey._studies.design_rows import AXES
@@ -142,7 +142,7 @@ def design(keys: DesignKeys) -> None:
         else f"the finished designs are stored in {output.path}; continue with --resume"
     )
     _process.tell_if_interrupted(kept)
-    with _surveys.workers(keys) as executor:
+    with _results.workers(keys) as executor:
         if around:
             scan |= {} if keys.spread is None else {"spread": keys.spread}
             table = rs.design.explore_around(_app.model_of(keys.instrument), executor=executor, **scan)

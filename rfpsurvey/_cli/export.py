@@ -10,7 +10,7 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.printing import print_text
+from rfpsurvey._cli.results import print_text
 from rfpsurvey._common.files import check_parent, check_separate
 from rfpsurvey._field.plan_files import FORMATS, TABLE, as_plan, read_plan, write_plan
 from rfpsurvey._survey.export import tile_at

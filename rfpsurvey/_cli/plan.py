@@ -12,9 +12,9 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._assignment.clock import end_on_interrupt
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import printing as _print
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.printing import print_text
+from rfpsurvey._cli.results import print_text
 from rfpsurvey._common.executors import released
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._instruments.facts import arm_classes, fact_texts
@@ -132,7 +132,7 @@ def plan(keys: PlanKeys, given) -> list[str]:
         )
     folder = Path() if keys.output.path is None else keys.output.path.parent
     tile.provenance["plan_file"] = given.record(folder, outputs=("output.path",))
-    _print.finish(tile, keys.output)
+    _results.finish(tile, keys.output)
     if ended_early:
         raise typer.Exit(130)
     return tile.summary["unmet"]
@@ -215,7 +215,7 @@ def probability(keys: ProbabilityKeys) -> None:
     with released(ThreadPoolExecutor(keys.workers)) as executor:
         options |= {"executor": executor, "progress": sys.stderr.isatty()}
         estimate = rs.collision_probability(model, **options)
-    _print.finish_estimate(estimate, model, keys.output)
+    _results.finish_estimate(estimate, model, keys.output)
 
 
 def _targets(catalog, kind: str = "uniform", **options):

@@ -53,9 +53,11 @@ def tell_if_interrupted(sentence: str) -> None:
 
 
 def set_up_worker() -> None:
-    """Let a worker process ignore Ctrl-C, which ends the main process, and end when the main process terminates it."""
+    """Let a worker process ignore Ctrl-C, which ends the main process, and end with the main process."""
+    from rfpsurvey._common.executors import end_with_parent
     from rfpsurvey._common.temporary import remove_all
 
+    end_with_parent()
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, lambda *_: (remove_all(), os._exit(128 + signal.SIGTERM)))
 

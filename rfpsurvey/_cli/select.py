@@ -9,9 +9,8 @@ import numpy as np
 
 import rfpsurvey as rs
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli import process as _process
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.survey import values_of
 from rfpsurvey._common.files import check_output, check_separate
@@ -104,27 +103,27 @@ def select(keys: SelectKeys, given: Given) -> None:
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
     check_separate([output, stored], paths)
     _app.check_outputs(keys.output, paths, (".fits",))
-    tiling = read_tiles(keys.tiles, tell=_print.print_text)
+    tiling = read_tiles(keys.tiles, tell=_results.print_text)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
     of_catalog = keys if survey is None else replace(survey, catalog=keys.catalog, options=keys.options)
-    targets = targets_of(of_catalog, model, tell=_print.print_text)
+    targets = targets_of(of_catalog, model, tell=_results.print_text)
     if survey is not None:
         visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}
         targets = state_in(place, catalog=targets, **visits)
     elif keys.catalog.visits is not None:
         targets = _with_visits(targets, keys.catalog.visits)
-    options = _surveys.options_of(keys) | {"allocator": allocator_of(keys.options, keys.joint)}
+    options = _results.options_of(keys) | {"allocator": allocator_of(keys.options, keys.joint)}
     tiling = tiles_of(tiling, targets if survey is None else targets.first, model)
     tiling = tiling if survey is None else key_objects.tiles_under(tiling, survey.conditions)
     begin = perf_counter()
     kept = "the checkpoints are stored in the folder; continue with --resume"
     _process.tell_if_interrupted(kept if folder else "no results were stored, because --folder was not given")
-    with _surveys.workers(keys) as executor:
+    with _results.workers(keys) as executor:
         selection = rs.selection_probabilities(
             targets, model, tiling, keys.n_realizations, executor=executor, progress=True, **options
         )
     seconds = perf_counter() - begin
-    with _print.files(
+    with _results.files(
         keys.output,
         write=selection.write,
         draw=lambda: rs.plot.plot_selection(selection).figure,
@@ -145,8 +144,8 @@ def _with_visits(targets, visits: int):
 def _print_selection(selection: "rs.SelectionProbabilities", allocator: str, seconds: float) -> None:
     """Print the summary of selection probabilities, one value per line."""
     s = selection.summary
-    _print.print_model(selection.provenance["instrument"]["name"], allocator, s, selection.provenance["parameters"])
-    _print.print_facts(selection_facts(selection))
+    _results.print_model(selection.provenance["instrument"]["name"], allocator, s, selection.provenance["parameters"])
+    _results.print_facts(selection_facts(selection))
     plans = s["n_tiles"] * s["n_realizations"]
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")
 
@@ -211,21 +210,21 @@ def potential(keys: PotentialKeys, _: Given) -> None:
     if keys.survey is not None:
         survey = rs.Survey.read(keys.survey)
         tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
-    tiling = read_tiles(tiles, tell=_print.print_text)
+    tiling = read_tiles(tiles, tell=_results.print_text)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
-    points = targets_of(keys, model, tell=_print.print_text)
+    points = targets_of(keys, model, tell=_results.print_text)
     tiling = tiles_of(tiling, points, model)
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
     begin = perf_counter()
     _process.tell_if_interrupted("no results were stored")
-    with _surveys.workers(keys) as executor:
+    with _results.workers(keys) as executor:
         potential_pairs = rs.selection.potential_assignments(points, model, tiling, executor=executor, **options)
         n_tiles = potential_pairs.n_tiles()
         written = None if output is None else potential_pairs.write(output, overwrite=keys.output.overwrite)
     print(f"{model.name}, {number_of(len(potential_pairs), 'tile')}, {number_of(len(n_tiles), 'point')}")
     numbers = enumerate(np.bincount(n_tiles).tolist())
-    _print.print_facts({f"points in reach in {number_of(n, 'tile')}": number for n, number in numbers if number})
-    _print.print_facts({"mean number of tiles per point": n_tiles.mean()})
+    _results.print_facts({f"points in reach in {number_of(n, 'tile')}": number for n, number in numbers if number})
+    _results.print_facts({"mean number of tiles per point": n_tiles.mean()})
     print(f"computing time {perf_counter() - begin:.1f} s")
     if written is not None:
         print(f"wrote {output}: {number_of(written, 'pair')} of a positioner and a point")

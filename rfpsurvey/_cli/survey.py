@@ -12,11 +12,9 @@ from astropy.table import QTable
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import command as _command
-from rfpsurvey._cli import printing as _print
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.printing import print_facts, print_text
+from rfpsurvey._cli.results import print_facts, print_text
 from rfpsurvey._common.files import WRITABLE, check_output
 from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import is_number, parse_number
@@ -60,13 +58,13 @@ def survey(keys: SurveyKeys, given: Given) -> list[str]:
     rfpsurvey survey hats_catalog --tiles tiles.ecsv \
         --set scheduler=tcp://10.0.0.1:8786 --folder plan
     """
-    _surveys.check_replan(keys)
+    _results.check_replan(keys)
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.cadences
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
     call = call_of(keys, tell=print_text)
-    with _app.seed_of(keys.catalog.path), _surveys.workers(keys) as executor:
+    with _app.seed_of(keys.catalog.path), _results.workers(keys) as executor:
         options = {"folder": keys.output.folder, "resume": keys.output.resume or keys.output.replan}
-        return _surveys.run(executor, call | options, keys.output, given).summary["unmet"]
+        return _results.run(executor, call | options, keys.output, given).summary["unmet"]
 
 
 def values_of(path: Path | None) -> dict | None:
@@ -159,7 +157,7 @@ def record(
         else:
             print(f"record {undo} undone; to plan the rest: rfpsurvey survey {folder} --replan")
         return
-    columns = _command.pairs(column or [], "--column", "ROLE=NAME")
+    columns = _app.pairs(column or [], "--column", "ROLE=NAME")
     least = parse_number(enough) if is_number(enough) else enough
     options = {"note": note, "replaces": replaces, "allow_future": allow_future, "dry_run": dry_run, "swaps": swaps}
     said = rs.Survey.read(folder).record(table, enough=least, tile=tile, columns=columns, **options)
@@ -222,7 +220,7 @@ def status(
     if events:
         records = rs.Survey.read(folder).events()
         records.remove_columns(["rows"])
-        _print.print_table(records)
+        _results.print_table(records)
         return
     if verify:
         damaged = verify_survey(folder)
@@ -234,32 +232,32 @@ def status(
         raise typer.Exit(len(damaged) > 0)
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
-    survey, state = rs.Survey.read(folder), state_in(folder, tell=_print.print_text, until=until)
+    survey, state = rs.Survey.read(folder), state_in(folder, tell=_results.print_text, until=until)
     progress = survey_status(survey, state)
-    with _print.files(
+    with _results.files(
         outputs,
         write=state.write,
         draw=lambda: rs.plot.plot_survey_status(progress)[0].figure,
         report=(progress, {}),
     ):
-        _print.print_facts(status_facts(progress), 24)
+        _results.print_facts(status_facts(progress), 24)
         print("tiles of each pass by state:")
-        _print.print_table(QTable(rows=progress.meta["tiles"]))
+        _results.print_table(QTable(rows=progress.meta["tiles"]))
         if progress.meta["areas"]:
             print("visits of each area on the sky (right ascension and declination in deg):")
             areas = QTable(rows=progress.meta["areas"])
             areas.remove_columns(["n_targets", "n_complete", "n_failed", "n_left"])
-            _print.print_table(areas)
+            _results.print_table(areas)
         if len(progress) > 1:
             print("visits of each class of targets:")
             short = progress.copy()
             short.rename_columns(progress.colnames, [name.removeprefix("n_") for name in progress.colnames])
-            _print.print_table(short)
+            _results.print_table(short)
         if progress.meta["failures"]:
             print("positioners whose visits failed in several tiles:")
-            _print.print_table(QTable(rows=progress.meta["failures"][:MOST_FAILURES]))
+            _results.print_table(QTable(rows=progress.meta["failures"][:MOST_FAILURES]))
         if until is None and not progress.meta["is_planned"]:
-            _print.print_text(
+            _results.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "
                 f"{folder} --replan"
             )
@@ -294,11 +292,11 @@ def diff(
         print(f"the plans are the same: {number_of(n_tiles[0], 'tile')}")
     for folder, n in zip((first, second), table.meta["n_later_files"], strict=True):
         if n:
-            _print.print_text(f"events that were recorded in {folder} after its last plan are not compared")
+            _results.print_text(f"events that were recorded in {folder} after its last plan are not compared")
     is_tile = np.asarray(table["positioner"]) == ""
     for what, rows in (("tiles", is_tile), ("fibers", ~is_tile)):
         counts = Counter(np.asarray(table["reason"])[rows].tolist()).most_common()
-        _print.print_facts({f"{what}: {reason}": n for reason, n in counts})
+        _results.print_facts({f"{what}: {reason}": n for reason, n in counts})
     numbers = Counter(np.asarray(table["tile"])[~is_tile].tolist())
     words = {tile: [] for tile in dict.fromkeys(np.asarray(table["tile"]).tolist())}
     for tile, reason in zip(table["tile"][is_tile].tolist(), table["reason"][is_tile].tolist(), strict=True):
@@ -306,7 +304,7 @@ def diff(
     for tile, n in numbers.items():
         words[tile].append(f"{number_of(n, 'fiber')} changed")
     for tile in list(words)[:MOST_TILES]:
-        _print.print_text(f"tile {tile}: {', '.join(words[tile])}")
+        _results.print_text(f"tile {tile}: {', '.join(words[tile])}")
     if len(words) > MOST_TILES:
         print(f"and {number_of(len(words) - MOST_TILES, 'more tile')}")
     if output is not None:

@@ -10,7 +10,7 @@ from astropy.time import Time
 
 import rfpsurvey as rs
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli import printing as _print
+from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
 from rfpsurvey._common.descriptions import help_of
 from rfpsurvey._common.files import WRITABLE, has_ending
@@ -130,14 +130,14 @@ def tile(keys: TileKeys, _: Given) -> None:
             allocator=_options_of(keys.options, by_fibers=by_fibers),
             radius=keys.radius,
             centers=rs.tiling.Centers(
-                read_tiles(tiles, tell=_print.print_text), tiles.declination, tiles.position_angle
+                read_tiles(tiles, tell=_results.print_text), tiles.declination, tiles.position_angle
             ),
             exclude=keys.exclude or [],
             visits=keys.catalog.visits,
             progress=sys.stderr.isatty(),
             rng=keys.rng,
         )
-    _print.finish_tiling(tiling, {"region": inside, "targets": None if field is inside else field}, keys.output)
+    _results.finish_tiling(tiling, {"region": inside, "targets": None if field is inside else field}, keys.output)
 
 
 def _targets_inside(catalog: "rs.Catalog", region: "rs.Region") -> "rs.Catalog":
@@ -247,8 +247,8 @@ def score(keys: ScoreKeys, _: Given) -> list[str]:
     rfpsurvey score plan/tiles/000/000007.fits
     """
     tile, _ = _scored(keys)
-    _print.finish(tile, keys.output)
-    _print.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+    _results.finish(tile, keys.output)
+    _results.print_text(f"columns: {tile.provenance['catalog']['columns']}")
     return tile.summary.get("unmet", [])
 
 
@@ -338,18 +338,18 @@ def paths(keys: PathsKeys, _: Given) -> None:
     tile, model = _scored(keys, (*WRITABLE, ".parquet"))
     made = tile.paths(model, step=keys.step, margin=keys.margin, rng=keys.rng, examine=keys.examine)
     page = {"data": keys.catalog.path, "paths": made}
-    with _print.files(keys.output, write=made.write, report=(tile, page)):
+    with _results.files(keys.output, write=made.write, report=(tile, page)):
         n = int(made.assigned.sum())
         speed = f"{made.meta['speed_deg_s']:.4g} deg / s" + ", which is assumed" * made.meta["speed_is_assumed"]
         print(f"{made.n_arriving} of {n} arms with a target reach it ({made.n_arriving / max(n, 1):.2%})")
         print(f"duration {made.duration.to_value(u.s):.1f} s, at a speed of the joints of {speed}")
         separation = model.focal_plane.arrays.separation
-        _print.print_text(
+        _results.print_text(
             f"smallest distance of two arms {made.smallest_distance.to_value(u.mm):.3f} mm, minimum separation "
             f"{separation:.3f} mm (proven at all times)"
         )
         for ids, reason in made.groups:
-            _print.print_text(f"{', '.join(ids)}: {reason}")
+            _results.print_text(f"{', '.join(ids)}: {reason}")
         print(f"{len(made.time)} break points of {len(made.arrives)} arms")
 
 

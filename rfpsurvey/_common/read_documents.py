@@ -134,8 +134,13 @@ def content_of(path: Path, most: int | None = None, kind: str = "") -> bytes:
         with (opener or open)(path, "rb") as file:
             while chunk := file.read(CHUNK):
                 content.write(chunk)
+                if content.tell() > limit and most is not None:
+                    raise InputError(f"{path}: the file must have at most {limit} bytes, got more")
                 if content.tell() > limit:
-                    raise InputError(_too_large(path, limit, opener if most is None else None))
+                    raise InputError(
+                        f"{path}: the decompressed content must have at most {limit} bytes ({MOST_RATIO} times the "
+                        f"size of the file, but at least {FREE} bytes), got more"
+                    )
         return content.getvalue()
     except (OSError, EOFError, zlib.error, lzma.LZMAError) as error:
         reason = getattr(error, "strerror", None) or sentence(error)
@@ -146,15 +151,6 @@ def warn_of_open_end(path: Path, content: bytes) -> None:
     """Issue a warning if the last line of a text has no end, so that its last value may be incomplete."""
     if content and not content.endswith((b"\n", b"\r")):
         warn(f"{path}: the last line must end with a line break, got none; its last value may be cut off")
-
-
-def _too_large(path, limit, opener) -> str:
-    if opener is None:
-        return f"{path}: the file must have at most {limit} bytes, got more"
-    return (
-        f"{path}: the decompressed content must have at most {limit} bytes ({MOST_RATIO} times the size of the file, "
-        f"but at least {FREE} bytes), got more"
-    )
 
 
 def open_content(path: Path) -> BinaryIO:

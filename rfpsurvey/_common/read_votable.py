@@ -153,24 +153,17 @@ class _Contents:
             else:
                 steps[-1] += -(-SIZES[kind] * n // 1)
         n_rows, place = 0, 0
-        if len(steps) == 1:
-            n_rows, n_left = divmod(len(content), steps[0]) if steps[0] else (0, len(content))
-            place = len(content) - n_left
-        else:
-            while place < len(content):
-                try:
-                    place = _skip_row(content, place, steps)
-                except struct.error:
-                    place = -1
-                if not 0 <= place <= len(content):
-                    place = -1
-                    break
-                n_rows += 1
-        if place != len(content):
-            raise InputError(
-                f"{self._path}: the element STREAM must contain complete rows, got an incomplete row after "
-                f"{n_rows} rows"
-            )
+        while place < len(content):
+            try:
+                end = _skip_row(content, place, steps)
+            except struct.error:
+                end = -1
+            if not place < end <= len(content):
+                raise InputError(
+                    f"{self._path}: the element STREAM must contain complete rows, got an incomplete row after "
+                    f"{n_rows} rows"
+                )
+            n_rows, place = n_rows + 1, end
         return n_rows
 
 

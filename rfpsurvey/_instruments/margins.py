@@ -15,7 +15,7 @@ import scipy  # its subpackages are imported on first use
 
 from rfpsurvey._common.settings import Settings, option, options_of
 from rfpsurvey._common.units import locked
-from rfpsurvey._instruments.outline import convex_polygon, make_outline, with_normals
+from rfpsurvey._instruments.outline import make_outline, to_part, with_normals
 from rfpsurvey._kernels import arms, collisions
 from rfpsurvey._kernels.outlines import NO_POLYGONS, OUTLINE_ERROR, Polygons
 from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short
@@ -160,7 +160,7 @@ def check_margins(plane) -> None:
 
 def to_polygons(given) -> tuple[np.ndarray, ...]:
     """Return the vertices of each polygon (mm) in counter-clockwise order."""
-    return tuple(locked(convex_polygon(polygon, f"obstacle_polygons[{k}]")) for k, polygon in enumerate(given or ()))
+    return tuple(locked(to_part(polygon, f"obstacle_polygons[{k}]")[0]) for k, polygon in enumerate(given or ()))
 
 
 def find_polygons(columns) -> Polygons:

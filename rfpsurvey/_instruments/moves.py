@@ -26,19 +26,29 @@ def find_moves(columns, owner, fiber, theta, phi, *, moving: np.ndarray | bool =
     ``moving`` is false remain at the given angles.
     """
     geometry, outline = columns.geometry_of(owner, fiber), columns.plane.positioner.outline
-    has_axis = columns.model == arms.CAPSULE
-    offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else 0.0
-    length = np.full(len(owner), columns.length) if has_axis else geometry.l2.copy()
-    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(owner))
+    offset, inner, length, reach = sizes_of(columns, owner, fiber, geometry)
     turn = np.where(moving, to_fold(columns, owner, fiber, phi, offset), 0.0)
     x, y = geometry.cx + geometry.l1 * np.cos(theta), geometry.cy + geometry.l1 * np.sin(theta)
-    angle, reach = theta + phi + offset, length if outline is None else np.full(len(owner), outline.reach[0])
+    angle = theta + phi + offset
     circle, sector = np.empty((3, len(owner))), np.empty((4, len(owner)))
     # the sector of an outline is a full circle, because the parts on the central arm are outside the eccentric sector
     motion.enclose(x, y, angle, turn if outline is None else np.full(len(owner), 2 * np.pi), reach, circle, sector)
     if outline is not None:
         circle = _around_both(circle, geometry, outline.reach[1])
     return motion.Moves(x, y, angle, turn, inner, length, reach, circle, sector)
+
+
+def sizes_of(columns, owner, fiber, geometry) -> tuple[np.ndarray, ...]:
+    """Return sizes of the eccentric arms of positioners with fibers.
+
+    These are the angle from the fiber to the axis of the arm, the begin and the end of the segment that can collide
+    (mm from the elbow), and the largest distance of the arm from the elbow (mm).
+    """
+    n, outline, has_axis = len(owner), columns.plane.positioner.outline, columns.model == arms.CAPSULE
+    offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else np.zeros(n)
+    length = np.full(n, columns.length) if has_axis else geometry.l2.copy()
+    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(n)
+    return offset, inner, length, length.copy() if outline is None else np.full(n, outline.reach[0])
 
 
 def to_fold(columns, owner, fiber, phi, offset):

@@ -83,7 +83,7 @@ class ArmOutline(ByValue):
             if isinstance(given, u.Quantity) or not isinstance(given, Sequence):
                 raise InputTypeError(f"{name} must be a list of parts, got {short(given)}")
             object.__setattr__(self, name, tuple(given))
-            parts += [_to_part(part, f"{name}[{k}]") for k, part in enumerate(given)]
+            parts += [to_part(part, f"{name}[{k}]") for k, part in enumerate(given)]
         object.__setattr__(self, "parts", tuple(parts))
         object.__setattr__(self, "n_eccentric", len(self.eccentric))
         if not self.n_eccentric:
@@ -200,11 +200,6 @@ def _from_core(vertices, low, high):
     return float(np.hypot(x - np.clip(x, low, high), y).max())
 
 
-def convex_polygon(points: u.Quantity, name: str) -> np.ndarray:
-    """Return the vertices of a convex polygon (mm) in counter-clockwise order; error messages contain ``name``."""
-    return _to_part(points, name)[0]
-
-
 def with_normals(vertices):
     """Return x and y of the vertices, and the normal (x, y) and the length of the edge that starts at each vertex."""
     dx, dy = (np.roll(vertices, -1, axis=0) - vertices).T
@@ -220,8 +215,8 @@ def _circle(vertices, radius):
     return radius, *middle, (float(np.hypot(*(vertices - middle).T).max()) + radius) * ROUNDED_UP
 
 
-def _to_part(part, name):
-    """Return the vertices of a part in counter-clockwise order, and its radius."""
+def to_part(part: object, name: str) -> tuple[np.ndarray, float]:
+    """Return the vertices of a part in counter-clockwise order, and its radius (mm); messages contain ``name``."""
     radius = 0.0
     if isinstance(part, tuple) and len(part) == 2:
         part, radius = part
@@ -327,8 +322,7 @@ def divide_polygon(vertices: u.Quantity) -> tuple[u.Quantity, ...]:
 
 def _bend(xy, a, b, c) -> float:
     """Return twice the area of the triangle a, b, c; the sign is positive if the vertices are counter-clockwise."""
-    (ax, ay), (bx, by), (cx, cy) = xy[a], xy[b], xy[c]
-    return (bx - ax) * (cy - by) - (by - ay) * (cx - bx)
+    return orientation(xy[b], xy[c], xy[a])
 
 
 def _crosses(xy, ring) -> bool:

@@ -6,7 +6,7 @@ import numpy as np
 
 from rfpsurvey._common.units import to_radian
 from rfpsurvey._instruments import moves as _moves
-from rfpsurvey._kernels import arms, joint_motion, path_steps
+from rfpsurvey._kernels import joint_motion, path_steps
 from rfpsurvey._kernels.motion import TOLERANCE
 from rfpsurvey.errors import InputError
 
@@ -119,14 +119,9 @@ def _within(angle, low, high):
 def bodies_of(columns, owner, fiber):
     """Return the sizes of all arms, and the angles from the fibers to the axes of the arms."""
     g, outline = columns.geometry_of(owner, fiber), columns.plane.positioner.outline
-    has_axis = columns.model == arms.CAPSULE
-    offset = np.arctan2(*columns.angles_of(owner, fiber)[::-1]) if has_axis else np.zeros(len(owner))
-    length = np.full(len(owner), columns.length) if has_axis else g.l2.copy()
-    inner = length.copy() if columns.model == arms.FIBER_TIP else np.zeros(len(owner))
-    reach, central = (
-        (length.copy(), 0.0) if outline is None else (np.full(len(owner), outline.reach[0]), outline.reach[1])
-    )
-    return joint_motion.Bodies(g.cx.copy(), g.cy.copy(), g.l1.copy(), inner, length, reach, float(central)), offset
+    offset, *sizes = _moves.sizes_of(columns, owner, fiber, g)
+    central = 0.0 if outline is None else float(outline.reach[1])
+    return joint_motion.Bodies(g.cx.copy(), g.cy.copy(), g.l1.copy(), *sizes, central), offset
 
 
 def _common_direction(limits, bodies, pairs, home, fold, ends):

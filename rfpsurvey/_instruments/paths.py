@@ -105,14 +105,13 @@ class Paths:
                 f"the arms of a path must not touch obstacles, but {number_of(len(hits), 'pair')} of an arm and an "
                 f"obstacle come closer than the clearance; the first is that of the positioner {ids[hits[0, 0]]}"
             )
-        moved = self._moved_broken()
+        moved, beyond = self._outside_limits()
         if moved.any():
             raise InputError(
                 f"the arms of broken positioners must remain in their poses, but {number_of(int(moved.sum()), 'path')} "
                 f"of broken positioners differ from them; the first is that of the positioner "
                 f"{ids[int(np.argmax(moved))]}"
             )
-        beyond = self._beyond_limits()
         if beyond.any():
             n = number_of(int(beyond.sum()), "arm")
             raise InputError(
@@ -161,27 +160,19 @@ class Paths:
             )
         return joint_motion.Knots(first.copy(), last + 1, time, theta, theta + phi + self._sizes[1][owner])
 
-    def _moved_broken(self):
-        """Return which positioners that cannot move have a path that moves, or that is not in the fixed pose."""
-        columns, owner = self._columns, self._owner
-        moved, first = np.zeros(len(self.fiber), dtype=bool), self.start[:-1][owner]
+    def _outside_limits(self):
+        """Return which positioners that cannot move leave their fixed pose, and which arms exceed the joint limits."""
+        columns, owner, rows = self._columns, self._owner, np.arange(len(self.fiber))
+        (moved, beyond), first = np.zeros((2, len(rows)), dtype=bool), self.start[:-1][owner]
         for k, name in enumerate(("theta", "phi")):
             joint, fixed = getattr(self, name).to_value(u.rad), columns.stuck[owner, k]
             away = np.where(columns.is_stuck[owner], np.abs(np.sin(0.5 * (joint - fixed))), 0.0)
             moves = (np.abs(joint - joint[first]) > 1e-9) | (away > 1e-6)  # false for arms that are absent
             moved[owner[moves & ~columns.usable[owner]]] = True
-        return moved
-
-    def _beyond_limits(self):
-        """Return which arms exceed the joint limits of the focal plane."""
-        columns, rows = self._columns, np.arange(len(self.fiber))
-        beyond = np.zeros(len(rows), dtype=bool)
-        for k, name in enumerate(("theta", "phi")):
-            low, high = (v[self._owner] for v in _moves.limits_of(columns, rows, k, f"{name}_range"))
-            joint = getattr(self, name).to_value(u.rad)
-            free = np.isinf(low) | ~columns.usable[self._owner] | np.isnan(joint)
-            beyond[self._owner[~free & ((joint < low - 1e-6) | (joint > high + 1e-6))]] = True
-        return beyond
+            low, high = (v[owner] for v in _moves.limits_of(columns, rows, k, f"{name}_range"))
+            free = np.isinf(low) | ~columns.usable[owner] | np.isnan(joint)
+            beyond[owner[~free & ((joint < low - 1e-6) | (joint > high + 1e-6))]] = True
+        return moved, beyond
 
     @property
     def n_arriving(self) -> int:

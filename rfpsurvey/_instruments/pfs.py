@@ -12,19 +12,9 @@ import numpy as np
 
 from rfpsurvey._common.files import suffix_of, to_path
 from rfpsurvey._common.read_documents import entries_of, head_of, is_present
+from rfpsurvey._instruments import pfs_files as _files
 from rfpsurvey._instruments.as_built import entry, impossible_entry
 from rfpsurvey._instruments.focal_plane import FocalPlane
-from rfpsurvey._instruments.pfs_files import (
-    GOOD,
-    N,
-    nominal_centers,
-    pfs_fibers,
-    read_cobras,
-    read_dots,
-    read_fiducials,
-    read_interference,
-    to_paths,
-)
 from rfpsurvey.errors import InputError
 
 PATTERNS = {
@@ -47,7 +37,8 @@ def find_pfs_files(path: Path) -> dict | None:
     latest date.
     """
     if path.is_file():
-        return {"dots": path} if _is_file_of_dots(path) else None
+        head = head_of(path, 64) if suffix_of(path) == ".csv" else b""
+        return {"dots": path} if head.lstrip(b"\xef\xbb\xbf").startswith(b"spotId,x,y,r") else None
     top_level = entries_of(path) if path.is_dir() else []
     folders = [folder for folder in (path / "dot", path / "fiducials") if is_present(folder)]
     if not any(fnmatchcase(file.name, PATTERNS["dots"]) for file in top_level) and not any(map(Path.is_dir, folders)):
@@ -61,11 +52,6 @@ def find_pfs_files(path: Path) -> dict | None:
     return {**files, "cobras": models} if models else files
 
 
-def _is_file_of_dots(path: Path) -> bool:
-    head = head_of(path, 64) if suffix_of(path) == ".csv" else b""
-    return head.lstrip(b"\xef\xbb\xbf").startswith(b"spotId,x,y,r")
-
-
 def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
     """Return PFS as built, from the nominal instrument and the paths of the files."""
     dots = to_path(dots)
@@ -73,17 +59,18 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
         files = find_pfs_files(dots)
         if files is None:
             raise InputError(f"{dots}: the folder must have a file black_dots_mm*.csv, got none")
-        return read_pfs(nominal, **{**files, **_given(fiducials=fiducials, interference=interference, cobras=cobras)})
-    circles = read_dots(dots)
-    offset = (circles[:, :2] - nominal_centers()).mean(axis=0)
-    arms = None if cobras is None else read_cobras(cobras)
+        given = {"fiducials": fiducials, "interference": interference, "cobras": cobras}
+        return read_pfs(nominal, **files | {name: path for name, path in given.items() if path is not None})
+    circles = _files.read_dots(dots)
+    offset = (circles[:, :2] - _files.nominal_centers()).mean(axis=0)
+    arms = None if cobras is None else _files.read_cobras(cobras)
     xy = circles[:, :2] - offset if arms is None else np.column_stack([arms["x"], arms["y"]])
     positioner = replace(nominal.focal_plane.positioner, handedness="left")
     values = {name: v for name, v in nominal.values.items() if not name.startswith("layout.")}
     values["positioner.handedness"] = entry("left", ANGLES)
     values["layout.ids"] = entry("cobraId", MAP)
     values["layout.spectrographs"] = entry("spectrograph of the fiber of each cobra", MAP)
-    values["layout.dots"] = entry(N, dots.name)
+    values["layout.dots"] = entry(_files.N, dots.name)
     note = (
         f"{dots.name}: {len(circles)} dots of radius {circles[:, 2].min():.3f} to {circles[:, 2].max():.3f} mm hide "
         f"fibers; targets behind a dot are out of reach of all cobras. The mean offset of a dot from the nominal "
@@ -94,7 +81,7 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
         values["layout.centers"] = entry("positions of the dots minus their mean offset", dots.name, "derived")
         values["layout.dot_offset"] = entry([round(float(v), 6) for v in offset], dots.name, "derived", "mm")
     else:
-        names = ", ".join(path.name for path in to_paths(cobras))
+        names = ", ".join(path.name for path in _files.to_paths(cobras))
         columns, defects = _arm_columns(arms, positioner)
         values |= impossible_entry(int(arms["unknown"].sum()), names)
         values.pop("positioner.theta_range", None)
@@ -103,17 +90,22 @@ def read_pfs(nominal, dots, fiducials=None, interference=None, cobras=None):
         notes.append(f"Centers, arms and joint limits are taken from {names}. {defects}")
     if fiducials is not None:
         path = to_path(fiducials)
-        columns["obstacles"], text = read_fiducials(path)
+        columns["obstacles"], text = _files.read_fiducials(path)
         values["layout.fiducials"] = entry(len(columns["obstacles"]), path.name)
         notes.append(text)
     if interference is not None:
         path = to_path(interference)
-        limits = read_interference(path)
+        limits = _files.read_interference(path)
         text = _restrict(columns, limits, arms)
         values["layout.interference"] = entry(int(np.isfinite(limits[:, 0]).sum()), path.name)
         notes.append(f"{path.name}: {text}")
     plane = FocalPlane(
-        xy * u.mm, positioner, id=np.arange(1, N + 1), spectrograph=pfs_fibers()[1], hidden=circles * u.mm, **columns
+        xy * u.mm,
+        positioner,
+        id=np.arange(1, _files.N + 1),
+        spectrograph=_files.pfs_fibers()[1],
+        hidden=circles * u.mm,
+        **columns,
     )
     return replace(
         nominal, focal_plane=plane, plate_scale=None, layout="as built", values=values, notes="\n".join(notes)
@@ -125,7 +117,7 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
 
     theta is measured from the counter-clockwise hard stop, and phi from the extended arm.
     """
-    bad, unknown = arms["status"] != GOOD, arms["unknown"]
+    bad, unknown = arms["status"] != _files.GOOD, arms["unknown"]
     nominal = {"theta_low": 0.0, "theta_high": 0.0, "phi_low": 0.0, "phi_high": 180.0}
     lengths = {name: getattr(positioner, name) for name in ("central_arm", "eccentric_arm")}
     nominal |= {name: length.to_value(u.mm) for name, length in lengths.items()}
@@ -134,8 +126,8 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
     span = (arms["theta_high"] - arms["theta_low"] + 180) % 360 + 180
     columns = {
         **lengths,
-        "zero_points": np.column_stack([arms["theta_low"], np.zeros(N)]) * u.deg,
-        "theta_range": np.column_stack([np.zeros(N), span]) * u.deg,
+        "zero_points": np.column_stack([arms["theta_low"], np.zeros(_files.N)]) * u.deg,
+        "theta_range": np.column_stack([np.zeros(_files.N), span]) * u.deg,
         "phi_range": np.column_stack([arms["phi_low"], arms["phi_high"]]) * u.deg - 180 * u.deg,
         "disabled": bad | unknown,
     }
@@ -145,8 +137,8 @@ def _arm_columns(arms: dict, positioner) -> tuple[dict, str]:
             f"Joint2_CCW_limit_angle must be below Joint2_CW_limit_angle, got the opposite for cobra {row + 1}"
         )
     text = (
-        f"{bad.sum()} cobras whose Status is not {GOOD} take no target and are parked, because the file does not "
-        "contain the poses of cobras that cannot move"
+        f"{bad.sum()} cobras whose Status is not {_files.GOOD} take no target and are parked, because the file does "
+        "not contain the poses of cobras that cannot move"
     )
     impossible = (np.flatnonzero(unknown) + 1).tolist()
     return columns, text + (
@@ -176,7 +168,7 @@ def _restrict(columns: dict, limits: np.ndarray, arms: dict | None) -> str:
     # with arms of equal length, the limit of phi leaves the fraction cos^2(phi / 2) of the patrol area
     by_theta = (1 - width / 360 >= np.cos(np.deg2rad(extended) / 2) ** 2) & (span >= 360) & (width < 360)
     theta, phi = (
-        columns.get(name, np.full((N, 2), np.nan) * u.deg).to_value(u.deg).copy()
+        columns.get(name, np.full((_files.N, 2), np.nan) * u.deg).to_value(u.deg).copy()
         for name in ("theta_range", "phi_range")
     )
     first = (begin + width - zero) % 360
@@ -198,7 +190,3 @@ def _largest_lag(extended: np.ndarray, l1, l2) -> np.ndarray:
     """
     phi = np.deg2rad(np.linspace(np.minimum(extended, 0), 0, 200))
     return np.rad2deg(np.arctan2(-l2 * np.sin(phi), l1 + l2 * np.cos(phi))).max(axis=0)
-
-
-def _given(**values) -> dict:
-    return {name: value for name, value in values.items() if value is not None}

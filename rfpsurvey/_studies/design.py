@@ -15,17 +15,7 @@ from rfpsurvey._common.descriptions import describe_methods
 from rfpsurvey._common.executors import Progress, map_in_order
 from rfpsurvey._common.settings import Settings, option
 from rfpsurvey._common.units import is_seed_given, to_scalar, to_seed
-from rfpsurvey._studies.design_rows import (
-    AXES,
-    FIGURES,
-    OBJECTIVES,
-    Checkpoint,
-    blank,
-    check_objectives,
-    on_front,
-    to_axes,
-    to_designs,
-)
+from rfpsurvey._studies import design_rows as _rows
 from rfpsurvey._studies.losses import ESTIMANDS, METHODS, Skies, automatic, cheapest, in_box, make_lattice
 from rfpsurvey.errors import InputError, check_keywords, warn, warn_of_unused
 
@@ -49,7 +39,7 @@ class Task:
 
     def __call__(self, first: int, designs: np.ndarray) -> np.ndarray:
         """Return the records of consecutive designs; ``first`` is the index of the first design."""
-        rows = blank(designs, self.estimand)
+        rows = _rows.blank(designs, self.estimand)
         for number, row in enumerate(rows, first):
             self._fill(row, np.random.default_rng([self.seed, number]))
         return rows
@@ -169,11 +159,6 @@ class LossOptions(Settings):
         if self.target_density is not None:
             return float(self.target_density.to_value(u.mm**-2)), True
         return float(PER_POSITIONER if each is None else each), False
-
-    @property
-    def seconds(self) -> float:
-        """Time limit of each search for a plan, in seconds."""
-        return float(self.time_limit.to_value(u.s))
 
 
 CHUNK = 8
@@ -305,8 +290,8 @@ def explore_designs(
     >>> table["pareto"].tolist()
     [True, False, False]
     """
-    settings = {name: value for name, value in locals().items() if name not in AXES}
-    return scan(to_axes(central_arm, ratio, pitch, clearance), None, **settings)
+    settings = {name: value for name, value in locals().items() if name not in _rows.AXES}
+    return scan(_rows.to_axes(central_arm, ratio, pitch, clearance), None, **settings)
 
 
 def scan(axes, start, *, n_designs, step, loss, objectives, rng, executor, progress, path, resume, overwrite) -> QTable:
@@ -315,18 +300,19 @@ def scan(axes, start, *, n_designs, step, loss, objectives, rng, executor, progr
     ``axes`` contains the values or the limits of each parameter, with lengths in mm. If ``start`` is given, the table
     also contains the design of this instrument.
     """
-    objectives = check_objectives(OBJECTIVES if objectives is None else objectives, FIGURES)
+    objectives = _rows.check_objectives(_rows.OBJECTIVES if objectives is None else objectives, _rows.FIGURES)
     seed = to_seed(rng)
     loss = loss if isinstance(loss, LossOptions) else LossOptions(loss)
     loss.warn_of_unused(["rng"] if n_designs is None and is_seed_given(rng) else [])
-    task = Task(*loss.question, to_scalar(step, u.rad, "step"), *loss.targets, loss.n_skies, loss.seconds, seed)
-    designs = to_designs(axes, n_designs, seed)
+    limit = float(loss.time_limit.to_value(u.s))
+    task = Task(*loss.question, to_scalar(step, u.rad, "step"), *loss.targets, loss.n_skies, limit, seed)
+    designs = _rows.to_designs(axes, n_designs, seed)
     request = {name: values.tolist() for name, values in axes.items()} | vars(task)
     request["n_designs"] = None if n_designs is None else int(n_designs)
     if start is not None:
         designs, row, record = start.among(designs)
         request["start"] = record
-    with Checkpoint(path, request, designs, resume=resume, overwrite=overwrite) as checkpoint:
+    with _rows.Checkpoint(path, request, designs, resume=resume, overwrite=overwrite) as checkpoint:
         starts = range(checkpoint.done, len(designs), CHUNK)
         parts = (designs[first : first + CHUNK] for first in starts)
         with Progress(progress, len(designs), "designs", done=checkpoint.done) as bar:
@@ -337,7 +323,7 @@ def scan(axes, start, *, n_designs, step, loss, objectives, rng, executor, progr
         table = checkpoint.table(objectives=objectives)
         if start is not None:
             table["instrument"] = np.where(np.arange(len(table)) == row, start.name, "")
-        table["pareto"] = on_front(table, objectives)
+        table["pareto"] = _rows.on_front(table, objectives)
         checkpoint.write(table)
     _warn(table)
     return table

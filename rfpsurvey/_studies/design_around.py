@@ -13,7 +13,7 @@ from rfpsurvey._common.units import to_plain
 from rfpsurvey._instruments.facts import arm_facts
 from rfpsurvey._instruments.instrument import Instrument, as_instrument
 from rfpsurvey._studies.design import explore_designs, scan
-from rfpsurvey._studies.design_rows import AXES, set_formats, to_axes
+from rfpsurvey._studies.design_rows import AXES, instruments_of, set_formats, to_axes
 from rfpsurvey.errors import InputError, check_choice, check_keywords, check_whole, warn
 
 DEGREE = 4
@@ -82,7 +82,7 @@ def design_sensitivities(
         check_choice(name, numbers, "column of designs")
     start = table.meta.get("request", {}).get("start", {})
     if start.get("added"):  # the design of an instrument would make a grid irregular
-        table = table[np.asarray(np.ma.filled(table["instrument"], "")) == ""]
+        table = table[instruments_of(table) == ""]
     known = np.isfinite(to_plain(table["loss"]))
     values = {name: to_plain(table[name])[known] for name in AXES}
     axes = {name: v for name, v in values.items() if len(v) and np.ptp(v) > 0}
@@ -309,7 +309,7 @@ def design_improvements(table: QTable) -> QTable:
     """
     if not isinstance(table, QTable) or "instrument" not in table.colnames or "objectives" not in table.meta:
         raise InputError("table must be a table that explore_around returned")
-    rows = np.flatnonzero(np.asarray(np.ma.filled(table["instrument"], "")) != "")
+    rows = np.flatnonzero(instruments_of(table) != "")
     if len(rows) != 1:
         raise InputError(f"table must have one row for the design of an instrument, got {len(rows)} rows")
     objectives = table.meta["objectives"]

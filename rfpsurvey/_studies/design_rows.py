@@ -131,6 +131,13 @@ def to_rows(table: QTable) -> np.ndarray:
     return rows
 
 
+def instruments_of(table: QTable) -> np.ndarray:
+    """Return the name of the instrument for rows that are designs of instruments, and empty text for other rows."""
+    if "instrument" not in table.colnames:
+        return np.full(len(table), "")
+    return np.asarray(np.ma.filled(table["instrument"], "")).astype(str)
+
+
 def digest_of(rows: np.ndarray) -> str:
     """Return a digest of records, which does not depend on the representation of NaN."""
     digest = hashlib.sha256()

@@ -155,10 +155,10 @@ def sky_variance(plane: FocalPlane, probability: np.ndarray) -> tuple[float, flo
     )
     basis = _profile(np.bincount(pairs.ravel(), minlength=len(plane))[counts].astype(float))
     typical = CORRELATION * ring_of.sum() / max(all_of.sum(), 1.0)
-    estimate = _Quadratic(all_of, basis, typical) if beyond.nnz else None
-    if estimate is None or estimate.degrees < ENOUGH_DEGREES:
-        estimate = _Quadratic(ring_of, basis, CORRELATION, BEYOND * beyond)
-    return estimate.variance(probability[counts]), estimate.degrees
+    variance, degrees = _quadratic(probability[counts], all_of, basis, typical) if beyond.nnz else (np.nan, 0.0)
+    if degrees < ENOUGH_DEGREES:
+        variance, degrees = _quadratic(probability[counts], ring_of, basis, CORRELATION, BEYOND * beyond)
+    return variance, degrees
 
 
 def _nearest_ring(plane: FocalPlane) -> np.ndarray:
@@ -190,57 +190,50 @@ def _profile(numbers: np.ndarray) -> np.ndarray:
     return np.column_stack([constant, slope / length] if length > 1e-9 else [constant])
 
 
-class _Quadratic:
-    """Unbiased quadratic estimate of the variance of the mean.
+def _quadratic(probability, adjacency, basis, correlation, known=None) -> tuple[float, float]:
+    """Return an unbiased quadratic estimate of the variance of the mean, and its degrees of freedom.
 
     All positioners are assumed to have the same variance, and all pairs of neighbors the same covariance. Let e be the
     residuals of the probabilities after a linear fit with the columns of ``basis``, and A the adjacency matrix of
     neighbors. The expected values of the sums e'e and e'Ae are linear in the variance and the covariance. The solution
-    of these two linear equations gives an estimate of the form e'(aI + bA)e. ``known`` contains correlations that are
-    assumed and not estimated.
+    of these two linear equations gives an estimate of the form e'(aI + bA)e. The result is at least the estimate
+    without the covariances of neighbors. ``known`` contains correlations that are assumed and not estimated.
     """
+    n, k = basis.shape
+    unit = eye_array(n, format="csr")
+    base = unit if known is None else (unit + known).tocsr()
+    # expected values of e'e and e'Ae for unit variance, and for unit covariance of neighbors
+    moments = np.array([[_trace(form, cov, basis) for cov in (base, adjacency)] for form in (unit, adjacency)])
+    sums = np.array([base.sum(), adjacency.sum()])
+    if n - k < 1 or moments[0, 0] <= 0:
+        return np.nan, 0.0
+    least = sums[0] / moments[0, 0] / n**2
+    if sums[1] == 0:
+        a, b, degrees = least, 0.0, float(n - k)
+    elif np.linalg.det(moments) > 1e-9 * moments[0, 0] * moments[1, 1]:
+        a, b = np.linalg.solve(moments.T, sums) / n**2
+        degrees = _degrees(a * unit + b * adjacency, basis, (base + correlation * adjacency).tocsr())
+    else:
+        return np.nan, 0.0
+    away = probability - basis @ (basis.T @ probability)
+    squares = float(away @ away)
+    return float(max(a * squares + b * float(away @ (adjacency @ away)), least * squares)), degrees
 
-    def __init__(self, adjacency, basis: np.ndarray, correlation: float, known=None):
-        n, k = basis.shape
-        unit = eye_array(n, format="csr")
-        base = unit if known is None else (unit + known).tocsr()
-        self.adjacency, self.basis, self.n = adjacency, basis, n
-        # expected values of e'e and e'Ae for unit variance, and for unit covariance of neighbors
-        moments = np.array([[_trace(form, cov, basis) for cov in (base, adjacency)] for form in (unit, adjacency)])
-        sums = np.array([base.sum(), adjacency.sum()])
-        self.a, self.b, self.degrees, self.least = np.nan, 0.0, 0.0, np.nan
-        if n - k < 1 or moments[0, 0] <= 0:
-            return
-        self.least = sums[0] / moments[0, 0] / n**2
-        if sums[1] == 0:
-            self.a, self.degrees = self.least, float(n - k)
-        elif np.linalg.det(moments) > 1e-9 * moments[0, 0] * moments[1, 1]:
-            self.a, self.b = np.linalg.solve(moments.T, sums) / n**2
-            self.degrees = self._degrees((base + correlation * adjacency).tocsr())
 
-    def _degrees(self, covariance):
-        """Return the degrees of freedom 2 E(V)^2 / Var(V) of the variance V, for normally distributed probabilities.
+def _degrees(weight, basis, covariance) -> float:
+    """Return the degrees of freedom 2 E(V)^2 / Var(V) of the variance V, for normally distributed probabilities.
 
-        Let K = aI + bA, and let P be the projection onto residuals. The code avoids the dense matrix P K P.
-        """
-        basis, weight = self.basis, self.a * eye_array(self.n, format="csr") + self.b * self.adjacency
-        expected = covariance.sum() / self.n**2
-        weighted = weight @ basis
-        beside = weighted - basis @ (basis.T @ weighted) / 2
-        left, right = np.hstack([-basis, -beside]), np.hstack([beside, basis])  # P K P = K + left right'
-        product = (weight @ covariance).tocsr()
-        mixed = right.T @ (covariance @ left)
-        trace = float(product.multiply(product.T).sum()) + float((mixed * mixed.T).sum())
-        trace += 2 * float(np.trace(right.T @ (covariance @ (weight @ (covariance @ left)))))
-        return float(expected**2 / trace) if trace > 0 else 0.0
-
-    def variance(self, probability: np.ndarray) -> float:
-        """Return the larger of two estimates of the variance: with and without the covariances of neighbors."""
-        away = probability - self.basis @ (self.basis.T @ probability)
-        squares = float(away @ away)
-        if np.isnan(self.a):
-            return np.nan
-        return float(max(self.a * squares + self.b * float(away @ (self.adjacency @ away)), self.least * squares))
+    Let K be the ``weight`` aI + bA, and let P be the projection onto residuals. The code avoids the dense matrix P K P.
+    """
+    expected = covariance.sum() / len(basis) ** 2
+    weighted = weight @ basis
+    beside = weighted - basis @ (basis.T @ weighted) / 2
+    left, right = np.hstack([-basis, -beside]), np.hstack([beside, basis])  # P K P = K + left right'
+    product = (weight @ covariance).tocsr()
+    mixed = right.T @ (covariance @ left)
+    trace = float(product.multiply(product.T).sum()) + float((mixed * mixed.T).sum())
+    trace += 2 * float(np.trace(right.T @ (covariance @ (weight @ (covariance @ left)))))
+    return float(expected**2 / trace) if trace > 0 else 0.0
 
 
 def _trace(first, second, basis: np.ndarray) -> float:

@@ -178,11 +178,8 @@ def with_dynamic(estimate: Estimate, rate: float) -> Estimate:
     if rate == 0:
         return estimate
 
-    def either(p):
-        return 1 - (1 - p) * (1 - rate)
-
     names = ("value", "value_assigned", "low", "high", "per_positioner")
-    changed = {name: either(getattr(estimate, name)) for name in names}
+    changed = {name: 1 - (1 - getattr(estimate, name)) * (1 - rate) for name in names}
     error = (1 - rate) * estimate.standard_error
     return replace(estimate, **changed, standard_error=error, meta={**estimate.meta, "dynamic": rate})
 

@@ -9,6 +9,7 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.patches import Patch
 
 from rfpsurvey._common.units import to_plain
+from rfpsurvey._studies.design_rows import instruments_of
 from rfpsurvey.errors import InputError, check_choice
 from rfpsurvey.plot._axes import (
     COLLISION,
@@ -105,7 +106,7 @@ def plot_designs(
         check_choice(name, numbers, "column of designs")
     ax = new_axes() if ax is None else ax
     front, values, across, up = np.asarray(table["pareto"]), *(values_of(table, name) for name in (color, x, y))
-    not_instrument = _names(table) == ""  # the design of an instrument is drawn as a star
+    not_instrument = instruments_of(table) == ""  # the design of an instrument is drawn as a star
     few = len(np.unique(values[not_instrument])) <= len(MARKERS)
     style = {"vmin": np.nanmin(values), "vmax": np.nanmax(values), "cmap": light_scale(), "linewidths": 0.3}
     style |= {"s": float(np.clip(6e4 / len(table), 16, 60)), "edgecolors": "0.35", "alpha": 0.8, **kwargs}
@@ -142,18 +143,11 @@ def _mark(ax, name, across, up):
     text.set_bbox({"facecolor": "white", "alpha": 0.85, "linewidth": 0, "pad": 1.5})
 
 
-def _names(table):
-    """Return the name of the instrument for rows that are designs of instruments, and empty text for other rows."""
-    if "instrument" not in table.colnames:
-        return np.full(len(table), "")
-    return np.asarray(np.ma.filled(table["instrument"], "")).astype(str)
-
-
 def _instruments(table):
     """Return a dict from the name of each instrument to a table of the designs of this instrument."""
     if not isinstance(table, QTable):
         return {}
-    names = _names(table)
+    names = instruments_of(table)
     return {name: table[names == name] for name in dict.fromkeys(names.tolist()) if name}
 
 

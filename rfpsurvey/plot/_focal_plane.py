@@ -14,34 +14,10 @@ from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import PartitionedCatalog, as_catalog
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey.errors import InputError, InputTypeError, check_choice
-from rfpsurvey.plot._axes import (
-    OUTLINE,
-    SERIES,
-    add_compass,
-    focal_plane_axes,
-    legend_below,
-    limits_of,
-    new_axes,
-    points_per_unit,
-    position_angle_of,
-    spacing_of,
-)
+from rfpsurvey.plot import _axes, _scene
 from rfpsurvey.plot._classes import ASSIGNED, COLORINGS, draw_layers, layers_of, legend_options
-from rfpsurvey.plot._scene import (
-    GROUPS,
-    arms_are_visible,
-    draw_arms,
-    draw_cells,
-    draw_dots,
-    draw_groups,
-    draw_marks,
-    draw_obstacles,
-    draw_patrol_areas,
-    scene_of,
-    visible_part,
-)
-from rfpsurvey.plot._sky import draw_rims, radius_of
-from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, rims_of
+from rfpsurvey.plot._sky import draw_rims, map_and_rims, radius_of
+from rfpsurvey.plot._sky_map import SkyMap
 
 LARGEST = 6.2  # inches: longer side of the axes
 SMALLEST, NARROWEST = 0.1, 0.1
@@ -118,7 +94,7 @@ def plot_targets(
         catalog = _catalog_of(result, catalog)
         coord, outcome = catalog.coord, np.asarray(result.outcomes["outcome"])
         columns = {name: getattr(catalog, name) for name in COLORINGS[1:]}
-        sky_map, rims = _map_of_survey(result, ax)
+        sky_map, rims = map_and_rims(result.tiles, radius_of(result), ax)
     else:
         raise InputTypeError(f"result must be a Tile or a Survey, got {type(result).__name__}")
     layers = layers_of(color, outcome, columns)
@@ -131,7 +107,7 @@ def plot_targets(
     sky_map.show(ax, *_extent(xy, rims))
     if rims is not None:
         draw_rims(ax, rims, zorder=4)
-    legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **options)
+    _axes.legend_below(ax, list(draw_layers(ax, xy, layers, kwargs, below=2.0, above=3.0)), **options)
     name, done = result.provenance["instrument"]["name"], np.isin(outcome, ASSIGNED).sum()
     ax.set_title(f"{name}: {done} of {len(xy)} targets assigned", pad=14 if sky_map.kind == "whole" else None)
     return ax
@@ -165,14 +141,6 @@ def _catalog_of(survey, catalog) -> Catalog:
     return catalog
 
 
-def _map_of_survey(survey, ax):
-    """Return the map of a survey and the edges of its fields; the edges are None on a map of the whole sky."""
-    centers, radius = SkyCoord(survey.tiles["ra"], survey.tiles["dec"]), radius_of(survey)
-    whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
-    sky_map = map_of(centers, radius, whole=whole)
-    return sky_map, None if whole else sky_map.to_xy(rims_of(centers, radius))
-
-
 def _extent(xy, rims) -> tuple[np.ndarray, np.ndarray]:
     points = xy if rims is None else np.vstack([xy, rims.reshape(-1, 2)])
     if len(points) == 0:
@@ -186,18 +154,18 @@ def _new_axes(sky_map, xy, rims, rows):
     """Return the axes of a new figure, with room for the rows of a legend."""
     below = HEIGHT_OF_ROW * rows
     if sky_map.kind == "whole":
-        return new_axes(8, 4.8 + below, projection="aitoff")
+        return _axes.new_axes(8, 4.8 + below, projection="aitoff")
     low, high = _extent(xy, rims)
     wide, tall = high - low
     height = min(LARGEST * tall * sky_map.aspect / wide, LARGEST)
     width = min(LARGEST, height * wide / (tall * sky_map.aspect))
-    ax = new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
+    ax = _axes.new_axes(max(width, 4.5) + 0.9, max(height, 1.4) + 1.1 + below)
     ax.set_anchor("N")  # the remaining height is for the legend
     return ax
 
 
 WITH_TARGET = ("assigned", "out_of_reach", "stuck")
-BLANK_SKY = SERIES[3]
+BLANK_SKY = _axes.SERIES[3]
 ROW = 0.22  # inches, height of a row of the legend
 
 
@@ -287,52 +255,52 @@ def plot_focal_plane(
     >>> rs.plot.plot_focal_plane("sdss_apo", color="fiber_type").get_title()
     'sdss_apo: 500 positioners, 46 obstacles, by fiber type'
     """
-    if color not in (None, *GROUPS):
-        raise InputError(f"color must be {' or '.join(GROUPS)}, got {color!r}")
-    scene = scene_of(thing)
+    if color not in (None, *_scene.GROUPS):
+        raise InputError(f"color must be {' or '.join(_scene.GROUPS)}, got {color!r}")
+    scene = _scene.scene_of(thing)
     by_class = _targets_of(thing, targets) if isinstance(targets, str) else None
     shown = scene.centers if by_class is None else np.vstack([scene.centers, by_class[0]])
     moving, patrol = (kwargs, {}) if isinstance(thing, Tile) else ({}, kwargs)
     makes_figure = ax is None
-    ax = focal_plane_axes(ax, shown, scene.outer, region, orientation)
+    ax = _axes.focal_plane_axes(ax, shown, scene.outer, region, orientation)
     if region is not None:
-        scene = visible_part(scene, ax)
-    large = arms_are_visible(ax, scene) if arms is None else arms
-    handles = list(draw_groups(ax, scene, color, pale=large or isinstance(thing, Tile)))
+        scene = _scene.visible_part(scene, ax)
+    large = _scene.arms_are_visible(ax, scene) if arms is None else arms
+    handles = list(_scene.draw_groups(ax, scene, color, pale=large or isinstance(thing, Tile)))
     if large or not (color or isinstance(thing, Tile)):
-        handles += draw_patrol_areas(ax, scene, patrol, gray=bool(color), alike=by_class is not None)
-    handles += draw_obstacles(ax, scene)
+        handles += _scene.draw_patrol_areas(ax, scene, patrol, gray=bool(color), alike=by_class is not None)
+    handles += _scene.draw_obstacles(ax, scene)
     if by_class is None and targets is not None:
         handles.append(_draw_targets(ax, scene, targets))
     if large or not isinstance(thing, Tile):
-        handles += draw_arms(ax, scene, moving)
+        handles += _scene.draw_arms(ax, scene, moving)
     elif by_class is None:
-        handles += draw_dots(ax, scene, moving)
+        handles += _scene.draw_dots(ax, scene, moving)
     else:
-        draw_cells(ax, scene)
+        _scene.draw_cells(ax, scene)
     if by_class is not None:
         handles += _draw_classes(ax, thing, targets, *by_class, {} if large else moving, large)
-    handles += draw_marks(ax, scene)
-    add_compass(ax, position_angle_of(thing), scene.points if large else scene.centers)
+    handles += _scene.draw_marks(ax, scene)
+    _axes.add_compass(ax, _axes.position_angle_of(thing), scene.points if large else scene.centers)
     ax.set_title(scene.title + (f", by {color.replace('_', ' ')}" if color else ""))
     if by_class is None:
-        legend_below(ax, handles, columns=4)
+        _axes.legend_below(ax, handles, columns=4)
         return ax
     options = legend_options(targets, [handle.get_label() for handle in handles])
     if makes_figure:  # make room for more rows of the legend
         width, height = ax.figure.get_size_inches()
         rows = -(-len(handles) // options["columns"]) + (targets != "outcome")
         ax.figure.set_size_inches(width, height + ROW * max(rows - 2, 0))
-    legend_below(ax, handles, **options)
+    _axes.legend_below(ax, handles, **options)
     return ax
 
 
 def _draw_targets(ax, scene, targets):
     """Draw targets as small crosses below arms and dots, and return their legend entry."""
     points = to_points_mm(targets, "targets")
-    size = min(max(0.35 * spacing_of(scene.centers, scene.outer) * points_per_unit(ax), 1.5), 5.0)
+    size = min(max(0.35 * _axes.spacing_of(scene.centers, scene.outer) * _axes.points_per_unit(ax), 1.5), 5.0)
     return ax.scatter(
-        *points.T, s=size**2, marker="+", color=OUTLINE, linewidths=0.5, alpha=0.6, zorder=2.2, label="target"
+        *points.T, s=size**2, marker="+", color=_axes.OUTLINE, linewidths=0.5, alpha=0.6, zorder=2.2, label="target"
     )
 
 
@@ -349,7 +317,7 @@ def _targets_of(thing, color):
 
 def _draw_classes(ax, tile, color, xy, table, kwargs, on_arms):
     """Draw the targets inside the axes, colored by class, and the fibers on blank sky; yield legend entries."""
-    low, high = limits_of(ax)
+    low, high = _axes.limits_of(ax)
     seen = ((xy >= low) & (xy <= high)).all(axis=1)
     xy, table = xy[seen], table[seen]
     columns = {name: table[name] for name in COLORINGS[1:] if name in table.colnames}

@@ -1,7 +1,5 @@
 """Plots of the quality of a tile or of a survey, such as targets by class and fibers by spectrograph."""
 
-from typing import NamedTuple
-
 import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
@@ -191,17 +189,8 @@ def _draw_classes(ax, completeness, kwargs):
 GROUPS = ("category", "priority")
 
 
-class Series(NamedTuple):
-    """The positioners that count toward one requirement, and the minimum number per tile or per spectrograph."""
-
-    label: str
-    rows: np.ndarray
-    minimum: int
-    per: str
-
-
-def _series_of(tile) -> list[Series]:
-    """Return the positioners that count toward each requirement.
+def _series_of(tile) -> list[tuple[str, np.ndarray, int, str]]:
+    """Return the label of each requirement, the positioners that count, and the minimum with its unit.
 
     If there are no requirements, return the positioners on sky and on standard stars or, if there are no such
     positioners, the positioners on science targets.
@@ -212,22 +201,18 @@ def _series_of(tile) -> list[Series]:
     requirements = (requirements or [Requirement("sky"), Requirement("standard")])[:MOST_SERIES]
     values = {name: np.asarray(t[name]) if name in t.colnames else None for name in ("kind", "category", "fiber_type")}
 
-    def counted(requirement):
-        rows = np.zeros(len(t), dtype=bool)
-        for name in ("kind", "category"):
-            if values[name] is not None:
-                rows |= has_role(values[name], requirement.what)
-        if requirement.fiber_type and values["fiber_type"] is not None:
-            rows &= values["fiber_type"] == requirement.fiber_type
-        return rows
-
     series = []
     names = short_names([requirement.what for requirement in requirements])
     for requirement, name in zip(requirements, names, strict=True):
-        label = name + (f" ({requirement.fiber_type})" if requirement.fiber_type else "")
-        series.append(Series(label, counted(requirement), requirement.minimum, requirement.per))
-    series = [shown for shown in series if shown.rows.any() or shown.minimum]
-    return series or [Series("science", np.isin(np.asarray(t["status"]), ("assigned", "out_of_reach")), 0, "tile")]
+        label, rows = name + (f" ({requirement.fiber_type})" if requirement.fiber_type else ""), np.zeros(len(t), bool)
+        for column in ("kind", "category"):
+            if values[column] is not None:
+                rows |= has_role(values[column], requirement.what)
+        if requirement.fiber_type and values["fiber_type"] is not None:
+            rows &= values["fiber_type"] == requirement.fiber_type
+        if rows.any() or requirement.minimum:
+            series.append((label, rows, requirement.minimum, requirement.per))
+    return series or [("science", np.isin(np.asarray(t["status"]), ("assigned", "out_of_reach")), 0, "tile")]
 
 
 def _draw_fibers(ax, tile):

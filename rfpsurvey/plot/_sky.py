@@ -101,21 +101,34 @@ def plot_tiling(
         raise InputError(f"color must be a column of numbers ({listed(numbers)}), got {color!r}")
     targets = _checked(targets, region)
     radius = radius_of(tiles) if radius is None else to_scalar(radius, u.deg, "radius", low=0, high=90)
-    centers, values = SkyCoord(table["ra"], table["dec"]), np.asarray(table[color], dtype=float)
+    values = np.asarray(table[color], dtype=float)
     levels = np.unique(values[np.isfinite(values)])
-    whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
-    sky_map = map_of(centers, radius, whole=whole)
-    rims = None if whole else sky_map.to_xy(rims_of(centers, radius))
+    sky_map, rims = map_and_rims(table, radius, ax)
+    whole = rims is None
     several = not whole and len(np.unique(np.asarray(table["pass"]))) > 1
     if ax is None:
         ax = _new_axes(sky_map, rims, scale=len(levels) > 1, legend=several or not (targets is None and region is None))
     sky_map.label(ax)
     draw_tiles(ax, sky_map, table, radius, color, kwargs)
     handles = list(draw_field(ax, sky_map, targets, region))
-    legend_below(ax, [*_entry_of_fields(), *handles] if several else handles)
+    if several:
+        style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
+        handles.insert(0, legend_line(label="field (fill is smaller in later passes)", **style))
+    legend_below(ax, handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(number_of(len(table), "tile") + only, pad=14 if whole else None)
     return ax
+
+
+def map_and_rims(table: QTable, radius: float, ax: Axes | None) -> tuple[SkyMap, np.ndarray | None]:
+    """Return the map of the tiles in a table and the edges of their fields; None for edges on a map of the whole sky.
+
+    The map shows the whole sky if the given axes do or, without axes, if the fields require it.
+    """
+    centers = SkyCoord(table["ra"], table["dec"])
+    whole = is_wide(centers, radius) if ax is None else ax.name == "aitoff"
+    sky_map = map_of(centers, radius, whole=whole)
+    return sky_map, None if whole else sky_map.to_xy(rims_of(centers, radius))
 
 
 def _checked(targets, region) -> SkyCoord | None:
@@ -201,12 +214,6 @@ def draw_rims(ax: Axes, rims: np.ndarray, zorder: float) -> None:
     ax.add_collection(LineCollection(closed, colors="0.3", linewidths=0.6 if len(rims) < 300 else 0.3, zorder=zorder))
 
 
-def _entry_of_fields():
-    """Yield the legend entry of fields that are filled up to different radii."""
-    style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
-    yield legend_line(label="field (fill is smaller in later passes)", **style)
-
-
 def draw_field(ax, sky_map: SkyMap, targets, region):
     """Draw targets and the border of a region, and yield legend entries."""
     lines = [] if region is None else outline_of_region(region, sky_map)
@@ -268,13 +275,11 @@ def draw_tiling(tiling: Tiling, *, targets: Catalog | SkyCoord | None = None, re
         return plot_tiling(tiling, targets=targets, region=region).figure
     targets = _checked(targets, region)
     radius = radius_of(tiling)
-    centers = SkyCoord(tiling.table["ra"], tiling.table["dec"])
-    whole = is_wide(centers, radius)
-    sky_map = map_of(centers, radius, whole=whole)
-    low, high = (0, 0), (2, 1)
+    sky_map, rims = map_and_rims(tiling.table, radius, None)
+    whole, low, high = rims is None, (0, 0), (2, 1)
     if not whole:
         lines = [] if region is None else outline_of_region(region, sky_map)
-        points = np.vstack([sky_map.to_xy(rims_of(centers, radius)).reshape(-1, 2), *lines])
+        points = np.vstack([rims.reshape(-1, 2), *lines])
         low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     size = np.subtract(high, low) * (1, sky_map.aspect)
     columns = 1 if size[0] > WIDE * size[1] and not whole else 2

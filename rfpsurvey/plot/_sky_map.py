@@ -135,10 +135,8 @@ def outline_of_region(region: Region, sky_map: SkyMap) -> list[np.ndarray]:
     if region.kind == "healpix":
         return _contours(region, sky_map)
     if region.kind == "cap":
-        x, y, z = region.values[:3]
-        center = SkyCoord(x, y, z, representation_type="cartesian").spherical
         angles = np.linspace(0, 360, 401) * u.deg
-        lines = [SkyCoord(center.lon, center.lat).directional_offset_by(angles, region.values[3] * u.rad)]
+        lines = [_to_coord(np.array(region.values[:3])).directional_offset_by(angles, region.values[3] * u.rad)]
     elif region.kind == "box":
         sides = np.split(border_of(region), 4)
         lines = [_to_coord(side) for side in (sides[:2] if region.values[1] == 2 * np.pi else sides)]

@@ -9,6 +9,7 @@ from astropy.table import Table
 from rfpsurvey._field.facts import versions
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._studies.compare_instruments import parts_of
+from rfpsurvey._studies.design_rows import instruments_of
 from rfpsurvey._studies.losses import SURROGATE_ERROR
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._studies.surrogate import AXES, surrogate_spline
@@ -201,20 +202,14 @@ def _designs(table):
         "meanings": {name: MEANINGS.get(name, "") for name in columns},
         "objectives": {str(name): str(aim) for name, aim in table.meta["objectives"].items()},
         "pareto": pack(np.asarray(table["pareto"])),
-        "instrument": pack_texts(_names(table)),
+        "instrument": pack_texts([text_of(name) for name in instruments_of(table).tolist()]),
         "method": pack(table["method"]) if "method" in table.colnames else None,
     }
 
 
-def _names(table):
-    if "instrument" not in table.colnames:
-        return [""] * len(table)
-    return [text_of(name) for name in np.asarray(np.ma.filled(table["instrument"], "")).astype(str).tolist()]
-
-
 def _start(table):
     """Return the initial design of the calculator: the instrument, or the first design of the Pareto front."""
-    named = np.flatnonzero(np.array(_names(table)) != "")
+    named = np.flatnonzero(instruments_of(table) != "")
     front = np.flatnonzero(np.asarray(table["pareto"]))
     row = table[next(iter([*named.tolist(), *front.tolist(), 0]))]
     lengths = {name: float(row[name].to_value(u.mm)) for name in ("central_arm", "pitch", "clearance")}

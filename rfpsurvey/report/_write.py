@@ -22,18 +22,10 @@ from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, number_of, refusal
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_survey_status, plot_tiling
+from rfpsurvey.report import _tables
 from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
 from rfpsurvey.report._html import html_of
-from rfpsurvey.report._motion import check_paths
-from rfpsurvey.report._tables import (
-    is_designs,
-    page_of_allocators,
-    page_of_designs,
-    page_of_estimate,
-    page_of_instruments,
-    page_of_table,
-)
-from rfpsurvey.report._tile import page_of_tile
+from rfpsurvey.report._tile import check_paths, page_of_tile
 from rfpsurvey.report._views import check_plans, sky_view
 
 if TYPE_CHECKING:
@@ -223,21 +215,21 @@ PAGES: dict[type, Callable[..., Page]] = {
     Tile: page_of_tile,
     Survey: page_of_survey,
     Tiling: page_of_tiling,
-    Estimate: page_of_estimate,
+    Estimate: _tables.page_of_estimate,
     SelectionProbabilities: page_of_selection,
-    Table: page_of_table,
+    Table: _tables.page_of_table,
 }
 """For each type of result, the function that makes its page.
 
 The arguments of the function are the result, and the name of the file that contains all rows.
 """
 MADE_BY: dict[str, tuple[Callable[..., Page], set[str]]] = {
-    "compare_allocators": (page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
+    "compare_allocators": (_tables.page_of_allocators, {"allocator", "usable", "science", "missing", "seconds"}),
     "survey_status": (page_of_status, {"priority", "n_requested", "n_observed", "n_planned", "n_lost", "n_impossible"}),
-    "compare_instruments": (page_of_instruments, {"instrument", *chain(*PARTS.values())}),
+    "compare_instruments": (_tables.page_of_instruments, {"instrument", *chain(*PARTS.values())}),
 }
 """For each value of ``meta["made_by"]`` of a table, the function that makes its page, and the required columns."""
-WITH_PLANS = (page_of_tile, page_of_allocators)
+WITH_PLANS = (page_of_tile, _tables.page_of_allocators)
 """Functions that make pages with an interactive focal plane."""
 ENDINGS = (".html", ".htm")
 
@@ -344,8 +336,8 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
         raise InputTypeError(f"result must be one of {known}, got {type(result).__name__}")
     if isinstance(result, Table):
         special, columns = MADE_BY.get(str(result.meta.get("made_by")), (build, set()))
-        if is_designs(result):
-            build = page_of_designs
+        if _tables.is_designs(result):
+            build = _tables.page_of_designs
         elif columns <= set(result.colnames):  # a table with missing columns gets a plain page
             build = special
     if build in WITH_PLANS:

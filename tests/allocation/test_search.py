@@ -6,6 +6,7 @@ from itertools import combinations, product
 import astropy.units as u
 import numpy as np
 import pytest
+from outlined import capsule
 
 import flat
 import rfpsurvey as rs
@@ -96,14 +97,7 @@ def test_larger_fields_against_a_plain_integer_program(seed, parked):
 
 def test_a_stuck_fiber_of_another_type_is_somewhere_else():
     """Regression: the arm of a stuck positioner was rotated to its second fiber, and then collided."""
-    unit = rs.Positioner(
-        7.4 * MM,
-        15 * MM,
-        2 * MM,
-        arm_model="capsule",
-        arm_length=14.5 * MM,
-        arm_angle={"B": 2 * u.deg, "A": -3 * u.deg},
-    )
+    unit = capsule(2, -3, length=14.5)
     stuck = [[0, 90], [np.nan, np.nan]] * u.deg
     plane = rs.FocalPlane([[0, 0], [20, 0]] * MM, unit, fiber_type=["B+A"] * 2, stuck=stuck)
     options = {"method": "optimal", "kind": ["science"], "fiber_type": ["B"], "sky_separation": 0.5 * MM}

@@ -76,6 +76,19 @@ def words(files):
 
 
 @pytest.fixture
+def seen(monkeypatch):
+    """Return a dict of the options with which a command calls ``plan_survey``, which then raises an error."""
+    seen = {}
+
+    def plan_survey(*_, **options):
+        seen.update(options)
+        raise rs.InputError("enough")
+
+    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+    return seen
+
+
+@pytest.fixture
 def plan(call, words, tmp_path):
     """Return a function that plans a survey with options in the folder ``plan``, and returns the folder."""
 

@@ -6,6 +6,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import QTable, Table
+from own_instrument import description, hexagon
 
 import rfpsurvey as rs
 from rfpsurvey._cli import command as _app
@@ -106,27 +107,10 @@ def test_results_are_printed_in_lines_of_100_characters(call, command):
         assert "Positions: a tangent plane" in " ".join(model.split())
 
 
-TOML = """schema = 1
-name = "mine"
-layout_is = "nominal"
-status = "assumed"
-source = "a test of mine"
-[positioner]
-central_arm = { value = 3.0, unit = "mm" }
-eccentric_arm = { value = 5.0, unit = "mm" }
-clearance = { value = 1.0, unit = "mm" }
-[layout]
-rings = { value = 1 }
-pitch = { value = 12.0, unit = "mm" }
-[optics]
-plate_scale = { value = 60.0, unit = "um / arcsec" }
-"""
-
-
 @pytest.mark.exhaustive
 def test_benchmarks(call, refused, tmp_path):
     mine, chart = tmp_path / "mine.toml", tmp_path / "chart.png"
-    mine.write_text(TOML)
+    mine.write_text(description((3.0, 5.0), 1.0, hexagon(1, 12.0)))
     words = "benchmark collisions --instrument {} --method exact --method endpoints --repeats 1 --plot {}"
     assert "endpoints" in call(words, mine, chart).out
     assert chart.stat().st_size > 10_000

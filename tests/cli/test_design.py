@@ -8,6 +8,7 @@ import pytest
 from astropy.table import QTable
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from own_instrument import description, hexagon
 
 import flat
 import rfpsurvey as rs
@@ -86,25 +87,9 @@ def test_bad_input_is_one_sentence(refused, options, message):
     assert message in refused(f"design {options}")
 
 
-MINE = """
-name = "mine"
-source = "Design report v3"
-status = "assumed"
-[positioner]
-central_arm = { value = 8.25, unit = "mm" }
-eccentric_arm = { value = 8.25, unit = "mm" }
-clearance = { value = 2.0, unit = "mm" }
-[layout]
-rings = { value = 3 }
-pitch = { value = 25.6, unit = "mm" }
-[optics]
-plate_scale = { value = 97.0, unit = "um / arcsec" }
-"""
-
-
 @pytest.mark.exhaustive
 def test_a_scan_starts_from_an_instrument_and_says_how_far_from_the_best_it_is(call, refused, tmp_path):
-    (tmp_path / "mine.toml").write_text(MINE)
+    (tmp_path / "mine.toml").write_text(description((8.25, 8.25), 2.0, hexagon(3, 25.6)))
     files = tmp_path / "mine.toml", tmp_path / "d.ecsv", tmp_path / "d.svg"
     words = "design --instrument {} --output {} --plot {} --spread 0.1 --central-arm "
     called = call(f"{words} 8.25", *files)

@@ -197,14 +197,7 @@ def test_set_accepts_whole_tables_of_entries():
     assert after_set('catalog.units={ ra = "deg" }') == {"catalog.units": {"ra": "deg"}}
 
 
-def test_the_command_line_overrides_the_file(refused, tmp_path, monkeypatch):
-    seen = {}
-
-    def plan_survey(*_, **options):
-        seen.update(options)
-        raise rs.InputError("enough")
-
-    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+def test_the_command_line_overrides_the_file(refused, tmp_path, seen):
     path = tmp_path / "plan.toml"
     path.write_text('rng = 1\norder = "given"\n[instrument]\nname = "moons"\n[options]\ntime_limit = 5\n')
     assert "enough" in refused("survey {} --rng 2 --set options.time_limit=7", path)

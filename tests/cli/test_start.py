@@ -12,7 +12,7 @@ import typer
 from numba.core import event
 
 import rfpsurvey as rs
-from rfpsurvey._cli import compiling
+from rfpsurvey._cli import application
 from rfpsurvey._cli.application import COMMANDS, MODULES
 
 PROGRAM = """
@@ -67,7 +67,7 @@ register = event.register
 def registered(monkeypatch):
     """Return the listeners that the command registers, and check that none remains after the test."""
     found = []
-    monkeypatch.setattr(compiling.event, "register", lambda kind, one: (found.append(one), register(kind, one)))
+    monkeypatch.setattr(event, "register", lambda kind, one: (found.append(one), register(kind, one)))
     yield found
     for one in found:
         event.unregister("numba:compile", one)
@@ -75,10 +75,10 @@ def registered(monkeypatch):
 
 @pytest.mark.parametrize("watched", [True, False])
 def test_it_is_printed_once_if_a_person_watches(monkeypatch, capsys, registered, watched):
-    monkeypatch.setattr(compiling.sys.stderr, "isatty", lambda: watched, raising=False)
-    compiling.announce_compilation()
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: watched, raising=False)
+    application.announce_compilation()
     assert len(registered) == int(watched)
-    monkeypatch.setattr(compiling.event, "register", register)  # numba registers further listeners
+    monkeypatch.setattr(event, "register", register)  # numba registers further listeners
     if numba.config.DISABLE_JIT:
         pytest.skip("nothing is compiled")
     for _ in range(2):

@@ -13,7 +13,7 @@ from astropy.table import QTable, Table
 
 import rfpsurvey as rs
 from rfpsurvey._cli import process as _process
-from rfpsurvey._cli import surveys as _surveys
+from rfpsurvey._cli import results as _results
 from rfpsurvey._survey.key_groups import WorkerKeys
 
 CENTER = SkyCoord(95 * u.deg, 23 * u.deg)
@@ -81,14 +81,7 @@ def test_what_is_printed_is_what_the_library_says(call, refused, words, files, t
         ("--constraint 'required 7' --constraint 'required a'", "allocator", {"required": ["7", "a"]}),
     ],
 )
-def test_every_option_reaches_the_library(refused, words, monkeypatch, options, name, value):
-    seen = {}
-
-    def plan_survey(*_, **options):
-        seen.update(options)
-        raise rs.InputError("enough")
-
-    monkeypatch.setattr(rs, "plan_survey", plan_survey)
+def test_every_option_reaches_the_library(refused, words, seen, options, name, value):
     refused(f"{words[0]} {options}", *words[1:])
     assert seen[name] == (rs.AllocationOptions(**value) if name == "allocator" else value)
 
@@ -279,12 +272,12 @@ def test_the_tiles_of_a_survey_are_planned_by_the_workers_of_a_scheduler(monkeyp
                 return pool
 
         monkeypatch.setitem(sys.modules, "distributed", SimpleNamespace(Client=Client))
-        with _surveys.workers(WORKERS) as executor:
+        with _results.workers(WORKERS) as executor:
             assert executor is pool
     monkeypatch.setitem(sys.modules, "distributed", None)
     with (
         pytest.raises(rs.InputError, match=r"scheduler needs dask \(pip install 'rfpsurvey\[distributed\]'\)"),
-        _surveys.workers(WORKERS),
+        _results.workers(WORKERS),
     ):
         pass
 

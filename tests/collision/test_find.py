@@ -6,6 +6,7 @@ import pytest
 import shapely
 from hypothesis import given
 from hypothesis import strategies as st
+from outlined import capsule
 from raising import refused
 
 import rfpsurvey as rs
@@ -171,15 +172,7 @@ def test_poses_and_tips_and_allocations_say_the_same(rng):
 
 
 def test_the_capsule_is_turned_from_the_fiber():
-    unit = rs.Positioner(
-        7.4 * MM,
-        14.97 * MM,
-        2 * MM,
-        arm_model="capsule",
-        arm_length=14.7 * MM,
-        arm_angle={"B": 2 * u.deg, "A": -2 * u.deg},
-    )
-    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, unit, fiber_type=["B+A", "B+A"])
+    plane = rs.FocalPlane([[0, 0], [100, 0]] * MM, capsule(2, -2, arm=14.97), fiber_type=["B+A", "B+A"])
     arms = place_arms(plane, [[22.37, 0], [122.37, 0]] * MM, fiber_type=np.array(["B", "A"]))
     turn = np.deg2rad(2)
     expected = [7.4 + 14.7 * np.cos(turn), 14.7 * np.sin(turn)]
@@ -189,15 +182,8 @@ def test_the_capsule_is_turned_from_the_fiber():
 
 def test_the_capsule_of_an_arm_without_a_target_is_turned_from_its_first_fiber():
     """Regression: the arm of a stuck positioner was rotated to the fiber type that was given for it."""
-    unit = rs.Positioner(
-        7.4 * MM,
-        15 * MM,
-        2 * MM,
-        arm_model="capsule",
-        arm_length=14.7 * MM,
-        arm_angle={"B": 2 * u.deg, "A": -3 * u.deg},
-    )
-    plane = rs.FocalPlane([[0, 0], [36, 0]] * MM, unit, fiber_type=["B+A", "B+A"], stuck=[[0, 0], [180, 0]] * u.deg)
+    stuck = [[0, 0], [180, 0]] * u.deg
+    plane = rs.FocalPlane([[0, 0], [36, 0]] * MM, capsule(2, -3), fiber_type=["B+A", "B+A"], stuck=stuck)
     x, y = 7.4 + 14.7 * np.cos(np.deg2rad(2)), 14.7 * np.sin(np.deg2rad(2))
     expected = np.array([[7.4, 0, x, y], [28.6, 0, 36 - x, -y]])
     gap = segment_distances(expected, np.array([[0, 1]]))

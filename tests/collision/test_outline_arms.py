@@ -9,6 +9,7 @@ import shapely
 from astropy.coordinates import SkyCoord
 from matplotlib.figure import Figure
 from outlined import DESI_LIKE, placed
+from own_instrument import description, hexagon
 
 import rfpsurvey as rs
 from rfpsurvey._instruments.arms import nearest_distance
@@ -126,29 +127,16 @@ def test_outline_survives_tables_and_descriptions(tmp_path):
     plane.to_table().write(tmp_path / "plane.ecsv")
     again = rs.FocalPlane.from_table(rs.FocalPlane.hexagonal(DESI_LIKE, rings=1, pitch=9.5 * u.mm).to_table())
     assert again.positioner.outline.to_dict() == DESI_LIKE.outline.to_dict()
-    text = """
-schema = 1
-name = "mine"
-status = "assumed"
-source = "a test"
-[positioner]
-central_arm = { value = 3.0, unit = "mm" }
-eccentric_arm = { value = 3.0, unit = "mm" }
-clearance = { value = 0.0, unit = "mm" }
-arm_model = { value = "outline" }
+    layout = "obstacle_polygons = { value = [[[0, 3], [1, 3], [1, 4]], [[9, 9], [9.5, 9], [9.5, 9.5], [9, 9.5]]], "
+    layout += f'unit = "cm" }}\n{hexagon(2, 9.5)}'
+    outline = """arm_model = { value = "outline" }
 [positioner.outline]
 unit = "cm"
 value.eccentric = [{ vertices = [[0.0, -0.1], [0.3, -0.1], [0.3, 0.1], [0.0, 0.1]], radius = 0.01 }]
 value.central = [{ vertices = [[0.3, 0.0]], radius = 0.2 }]
-[layout]
-obstacle_polygons = { value = [[[0, 3], [1, 3], [1, 4]], [[9, 9], [9.5, 9], [9.5, 9.5], [9, 9.5]]], unit = "cm" }
-pitch = { value = 9.5, unit = "mm" }
-rings = { value = 2 }
-[optics]
-plate_scale = { value = 60.0, unit = "um/arcsec" }
 """
     file = tmp_path / "mine.toml"
-    file.write_text(text)
+    file.write_text(description((3.0, 3.0), 0.0, layout, positioner=outline))
     plane = rs.Instrument.read(file).focal_plane
     assert [one.max() for one in plane.arrays.obstacle_polygons] == [40, 95]
     outline = plane.positioner.outline

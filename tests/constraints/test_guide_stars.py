@@ -10,6 +10,7 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable, Table
 from configurations import places, stars_around
+from own_instrument import description, hexagon
 from raising import refused, warned
 from shapely import Point, Polygon
 
@@ -20,24 +21,8 @@ from rfpsurvey.constraints import GuideStars
 
 CENTER = SkyCoord("6h20m +23d")
 HALF = 13.5e-3 * 1024
+SCALE = 'plate_scale = { value = 200.0, unit = "mm / deg" }'
 SQUARE = [[-2.0, -2.0], [2.0, -2.0], [2.0, 2.0], [-2.0, 2.0]]
-TOML = """
-schema = 1
-name = "one"
-status = "assumed"
-source = "a test"
-[positioner]
-central_arm = {{ value = 8.25, unit = "mm" }}
-eccentric_arm = {{ value = 8.25, unit = "mm" }}
-clearance = {{ value = 2.25, unit = "mm" }}
-[layout]
-rings = {{ value = 2 }}
-pitch = {{ value = 25.6, unit = "mm" }}
-[optics]
-plate_scale = {{ value = 200.0, unit = "mm / deg" }}
-[cameras]
-north = {{ value = {value}, unit = {unit} }}
-"""
 
 
 def counts_of(coord, m, center, angle_deg, real_data, low, high):
@@ -275,7 +260,8 @@ WRONG_CAMERAS = [
 @pytest.mark.parametrize(("value", "unit", "message"), WRONG_CAMERAS)
 def test_cameras_of_a_file_are_validated(value, unit, message, tmp_path):
     path = tmp_path / "one.toml"
-    path.write_text(TOML.format(value=value, unit=unit))
+    camera = f"[cameras]\nnorth = {{ value = {value}, unit = {unit} }}\n"
+    path.write_text(description((8.25, 8.25), 2.25, hexagon(2, 25.6), SCALE, end=camera))
     if message is None:
         corners = rs.Instrument.read(path).cameras["north"]
         np.testing.assert_allclose(corners, np.array(value) * (10 if unit == '"cm"' else 1))

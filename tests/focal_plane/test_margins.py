@@ -5,7 +5,7 @@ import astropy.units as u
 import numpy as np
 import pytest
 import shapely
-from outlined import DESI_LIKE, placed
+from outlined import DESI_LIKE, capsule, placed
 from raising import refused
 
 import rfpsurvey as rs
@@ -15,14 +15,7 @@ from rfpsurvey.allocation import METHODS
 EQUAL = rs.Positioner(3 * u.mm, 3 * u.mm, 0.9 * u.mm)
 UNEQUAL = rs.Positioner(7.4 * u.mm, 15 * u.mm, 2 * u.mm)
 TIP = rs.Positioner(3 * u.mm, 3 * u.mm, 0.9 * u.mm, arm_model="fiber_tip")
-CAPSULE = rs.Positioner(
-    7.4 * u.mm,
-    15 * u.mm,
-    2 * u.mm,
-    arm_model="capsule",
-    arm_length=14.7 * u.mm,
-    arm_angle={"A": 3 * u.deg, "B": -3 * u.deg},
-)
+CAPSULE = capsule(-3, 3)
 HEXAGON = [[0, 0], [1, 0], [-1, 0], [0.5, 0.866], [-0.5, 0.866], [0.5, -0.866], [-0.5, -0.866]]
 
 

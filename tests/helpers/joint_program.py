@@ -60,6 +60,30 @@ def survey_with(seed, roles):
     return instrument, tiles, replace(catalog, kind=kind), replace(options, requirements=needs), needs
 
 
+def plans_of(cases, **options):
+    """Yield seed, scene, program and plans (tile after tile, and joint) of each case that requests visits.
+
+    ``cases`` yields a seed and a scene, as `survey_with` returns it; an option can be a function of the seed. No arms
+    of the joint plan collide, and each requirement is met at least as well as in the first plan.
+    """
+    for seed, scene in cases:
+        instrument, tiles, catalog, allocator, needs = scene
+        science = np.ones(len(catalog), bool) if catalog.kind is None else has_role(catalog.kind, "science")
+        if not catalog.visits[science].any():
+            continue
+        own = {name: value(seed) if callable(value) else value for name, value in options.items()}
+        first, survey = (
+            rs.plan_survey(catalog, instrument, tiles, allocator=one)
+            for one in (allocator, rs.JointOptions(**own, allocator=allocator))
+        )
+        before, after = (np.array(counts_by_tile(one, needs)) for one in (first, survey))
+        centers = tiles if isinstance(tiles, SkyCoord) else SkyCoord(tiles["ra"], tiles["dec"])
+        assert (after >= np.minimum([need.minimum for need in needs], before)).all(), seed
+        assert (after <= [np.inf if need.maximum is None else need.maximum for need in needs]).all(), seed
+        assert not any(np.asarray(part["in_collision"]).any() for part in survey), seed
+        yield seed, scene, program_of(instrument, centers, catalog, allocator, needs, before), first, survey
+
+
 def visits_by_class(survey, catalog, classes):
     rows = np.concatenate([np.asarray(part["target_row"])[np.asarray(part["observed"])] for part in survey])
     rows = rows if catalog.kind is None else rows[catalog.kind[rows] == "science"]

@@ -1,4 +1,4 @@
-"""A positioner with an outline, and its arms as shapes of shapely."""
+"""Positioners with outlines and capsules, and arms with outlines as shapes of shapely."""
 
 import astropy.units as u
 import numpy as np
@@ -17,6 +17,13 @@ DESI_LIKE = rs.Positioner(
     arm_model="outline",
     outline=rs.positioner.ArmOutline(eccentric=(WEDGE, HEEL), central=(BODY, DISC)),
 )
+
+
+def capsule(b, a, length=14.7, arm=15):
+    """Return a positioner whose fibers B and A are at the angles ``b`` and ``a`` (deg) from the axis of a capsule."""
+    angles = {"B": b * u.deg, "A": a * u.deg}
+    lengths = 7.4 * u.mm, arm * u.mm, 2 * u.mm
+    return rs.Positioner(*lengths, arm_model="capsule", arm_length=length * u.mm, arm_angle=angles)
 
 
 def placed(unit: rs.Positioner, center, elbow, tip) -> tuple[shapely.Geometry, shapely.Geometry]:

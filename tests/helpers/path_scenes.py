@@ -4,7 +4,7 @@ import astropy.units as u
 import numpy as np
 import shapely
 from moving import MovingArm, ends, outline_distance, outline_parts, refined, segment_distance
-from outlined import DESI_LIKE
+from outlined import DESI_LIKE, capsule
 
 import rfpsurvey as rs
 
@@ -45,13 +45,7 @@ def _hexagonal(unit, pitch, **columns):
 
 
 def _capsules():
-    unit = rs.Positioner(
-        *(7.4 * MM, 15 * MM, 2 * MM),
-        arm_model="capsule",
-        arm_length=14.5 * MM,
-        arm_angle={"B": 2 * DEG, "A": -3 * DEG},
-    )
-    return _hexagonal(unit, 22.4, fiber_type=["B+A"] * 10 + ["A+B"] * 9)
+    return _hexagonal(capsule(2, -3, length=14.5), 22.4, fiber_type=["B+A"] * 10 + ["A+B"] * 9)
 
 
 def _as_built(rng):

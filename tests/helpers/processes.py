@@ -1,5 +1,8 @@
 """Functions that run in other processes, which can import this module but not the modules of tests."""
 
+import multiprocessing
+import time
+
 import astropy.units as u
 
 import rfpsurvey as rs
@@ -19,6 +22,26 @@ def lock_and_wait(path, begun, end):
     with locked(path):
         begun.set()
         end.wait(60)
+
+
+def killed_at_random(compute, case, tmp_path, least, rng):
+    """Yield folders whose computation was killed and resumed several times; at least ``least`` kills take effect."""
+    context, begin = multiprocessing.get_context("fork"), time.perf_counter()
+    compute(case, tmp_path / "clock")
+    whole = time.perf_counter() - begin
+    killed, run = 0, 0
+    while killed < least:
+        run += 1
+        folder = tmp_path / f"run-{run}"
+        for attempt in range(4):
+            process = context.Process(target=compute, args=(case, folder), kwargs={"resume": attempt > 0})
+            process.start()
+            process.join(rng.uniform(0, whole))
+            killed += process.is_alive()
+            process.kill()
+            process.join()
+        compute(case, folder, resume=True)
+        yield folder
 
 
 def explore(path, **options):

@@ -14,6 +14,7 @@ import numpy as np
 import pfs_files
 from astropy.coordinates import SkyCoord
 from astropy.table import Table
+from own_instrument import description
 
 import rfpsurvey as rs
 import sdssv_files
@@ -23,20 +24,12 @@ from rfpsurvey.design import explore_designs
 from valid_files import CENTER, Sample
 
 PRESETS = Path(rs.__file__).parent / "presets"
-TABLE = """
-name = "table"
-status = "assumed"
-source = "test"
-[positioner]
-central_arm = { value = 8.25, unit = "mm" }
-eccentric_arm = { value = 8.25, unit = "mm" }
-clearance = { value = 2.25, unit = "mm" }
-[layout]
-table = { value = "plane.ecsv" }
-states = { value = "states.csv" }
-[optics]
-plate_scale = { value = 200.0, unit = "mm / deg" }
-"""
+TABLE = description(
+    (8.25, 8.25),
+    2.25,
+    'table = { value = "plane.ecsv" }\nstates = { value = "states.csv" }',
+    'plate_scale = { value = 200.0, unit = "mm / deg" }',
+)
 HEIR = """
 inherits = "table"
 name = "heir"

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import shapely
 from astropy.table import Table
+from own_instrument import description
 from raising import refused
 from scipy.spatial import cKDTree
 
@@ -15,18 +16,6 @@ PLACES = [(x + (row - 10) / 2, row) for row in range(11) for x in range(11 - row
 PLACES = [
     (6.2 * x, 6.2 * np.sqrt(3) / 2 * (row - 10 / 3)) for x, row in PLACES if (x, row) not in ((-5, 0), (5, 0), (0, 10))
 ]
-HEAD = """
-name = "mine"
-status = "assumed"
-source = "a test"
-[positioner]
-central_arm = { value = 1.8, unit = "mm" }
-eccentric_arm = { value = 1.8, unit = "mm" }
-clearance = { value = 1.0, unit = "mm" }
-[optics]
-plate_scale = { value = 100.0, unit = "um / arcsec" }
-[layout]
-"""
 LATTICE = 'pitch = { value = 6.2, unit = "mm" }\nmodule_rows = { value = 11 }\nmodule_corners = { value = "vacant" }\n'
 GROUPS = """
 module_side = { value = 73.8, unit = "mm" }
@@ -36,7 +25,7 @@ group_gap = { value = 4.4, unit = "mm" }
 
 
 def read(folder, text):
-    (folder / "mine.toml").write_text(HEAD + text)
+    (folder / "mine.toml").write_text(description((1.8, 1.8), 1.0, text))
     return rs.Instrument.read(folder / "mine.toml")
 
 

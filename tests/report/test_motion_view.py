@@ -12,7 +12,7 @@ from raising import refused
 
 import rfpsurvey as rs
 from pages import Reader
-from rfpsurvey.report._motion import motion_data, motion_facts, pack_integers
+from rfpsurvey.report._tile import motion_data, motion_facts, pack_integers
 
 VIEW = "document.querySelector('.view').view"
 PARTS = (0.0, 0.1, 0.37, 0.62, 0.93, 1.0)

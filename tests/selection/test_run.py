@@ -3,7 +3,6 @@
 import multiprocessing
 import os
 import shutil
-import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 
 import astropy.units as u
@@ -14,6 +13,7 @@ from astropy.io import fits
 from astropy.table import QTable, Table
 
 import rfpsurvey as rs
+from processes import killed_at_random
 from rfpsurvey._survey.selection import run as _folder
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
@@ -161,22 +161,7 @@ def test_interrupted_after_any_number_of_plans(case, tmp_path, monkeypatch, undi
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_killed_at_random_moments(case, tmp_path, monkeypatch, undisturbed, rng):
     monkeypatch.setattr(_folder, "EVERY", 0.0)
-    context = multiprocessing.get_context("fork")
-    begin = time.perf_counter()
-    compute(case, tmp_path / "clock")
-    whole = time.perf_counter() - begin
-    killed, run = 0, 0
-    while killed < 3:
-        run += 1
-        folder = tmp_path / f"selection-{run}"
-        for attempt in range(4):
-            process = context.Process(target=compute, args=(case, folder), kwargs={"resume": attempt > 0})
-            process.start()
-            process.join(rng.uniform(0, whole))
-            killed += process.is_alive()
-            process.kill()
-            process.join()
-        compute(case, folder, resume=True)
+    for folder in killed_at_random(compute, case, tmp_path, 3, rng):
         assert content(folder) == undisturbed
 
 

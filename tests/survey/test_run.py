@@ -10,7 +10,6 @@ import shutil
 import signal
 import sys
 import tempfile
-import time
 from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import nullcontext
 from dataclasses import replace
@@ -24,6 +23,7 @@ from astropy.table import QTable
 
 import flat
 import rfpsurvey as rs
+from processes import killed_at_random
 from rfpsurvey._common import io as _io
 
 CENTER = SkyCoord(200 * u.deg, 30 * u.deg)
@@ -120,22 +120,7 @@ def test_dask_with_a_worker_that_is_killed(case, tmp_path, undisturbed):
 @pytest.mark.filterwarnings("ignore:.*fork:DeprecationWarning")
 def test_killed_at_random_moments(case, tmp_path, undisturbed, rng):
     """The process is killed several times, each time between writing the first and the last file."""
-    context = multiprocessing.get_context("fork")
-    begin = time.perf_counter()
-    plan(case, tmp_path / "clock")
-    whole = time.perf_counter() - begin
-    killed, run = 0, 0
-    while killed < 6:
-        run += 1
-        folder = tmp_path / f"survey-{run}"
-        for attempt in range(4):
-            process = context.Process(target=plan, args=(case, folder), kwargs={"resume": attempt > 0})
-            process.start()
-            process.join(rng.uniform(0, whole))
-            killed += process.is_alive()
-            process.kill()
-            process.join()
-        plan(case, folder, resume=True)
+    for folder in killed_at_random(plan, case, tmp_path, 6, rng):
         assert content(folder) == undisturbed
 
 
