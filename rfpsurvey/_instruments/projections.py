@@ -41,6 +41,7 @@ class Projections:
             float(self.field_radius.to_value(u.rad)),
             self.light,
             None if diameter is None else float(FRACTION * value_of(diameter).to_value(u.mm)),
+            tuple(map(str, self.focal_plane.fiber_types)),
         )
 
     def projection(

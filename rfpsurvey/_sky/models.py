@@ -41,6 +41,8 @@ class FieldOptics:
         Wavelengths that the instrument observes.
     tolerance : float, optional
         Largest negligible position error (mm).
+    fiber_types : tuple of str, optional
+        Fiber types of the instrument.
     """
 
     focal_length: float
@@ -48,6 +50,7 @@ class FieldOptics:
     radius: float = 0.0
     light: Light = NO_LIGHT
     tolerance: float | None = None
+    fiber_types: tuple[str, ...] = ()
 
 
 @lru_cache(maxsize=16)
@@ -140,6 +143,8 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
     """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`."""
     light, factor = observed_light(optics.light, conditions), conditions.scale
     (scale, edge, error), radius = profile(optics, factor), optics.radius / min(factor, 1.0)
+    for fiber_type in optics.fiber_types:
+        light.of(fiber_type)  # raises an error if the wavelength is not known
     half, seconds, weights = conditions.numbers.half_exposure, np.zeros(1), np.ones(1)
     if half:
         moments, weights, _ = moments_of_exposure(FEWEST if half <= LONG else MANY)

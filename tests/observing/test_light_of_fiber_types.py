@@ -1,0 +1,84 @@
+"""Wavelengths and bands that lack a fiber type of the instrument, and objects of light that are not valid."""
+
+import astropy.units as u
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from raising import refused
+
+import rfpsurvey as rs
+from rfpsurvey.observing import FiberLight, Light, ObservedPlane
+
+CENTER = SkyCoord("6h20m +23d")
+LACKS_B = "wavelength must have a value for the fiber type 'B', got values for A"
+OWN = """
+name = "own"
+inherits = "lamost"
+status = "assumed"
+source = "test"
+[layout]
+fiber_types = { value = ["A", "B"] }
+[light]
+band = { value = { A = [0.4, 0.6] }, unit = "um" }
+wavelength = { value = { A = 0.5 }, unit = "um" }
+"""
+
+
+def conditions(**given):
+    return rs.ObservingConditions("xinglong", hour_angle=1 * u.hourangle, **given)
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    path = tmp_path_factory.mktemp("own") / "own.toml"
+    path.write_text(OWN)
+    return rs.Instrument.read(path)
+
+
+@pytest.fixture(scope="module")
+def stars():
+    return rs.Catalog(CENTER.directional_offset_by([0, 90, 180] * u.deg, 0.5 * u.deg))
+
+
+def test_each_fiber_type_must_have_a_wavelength_in_all_models(own, stars):
+    """Regression: fields for which the model ``refraction`` was chosen were planned, and other fields were errors."""
+    tiling = rs.Tiling.from_table(QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}))
+    for given in ({}, {"wavelength": {"A": 0.55 * u.um}}):
+        for tolerance in (0.001, 1):
+            used = conditions(tolerance=tolerance * u.mm, **given)
+            refused(LACKS_B, lambda used=used: rs.plan_tile(stars, own, CENTER, conditions=used))
+            refused(LACKS_B, lambda used=used: rs.plan_survey(stars, own, tiling.with_conditions(used)))
+    rs.plan_tile(stars, own, CENTER, conditions=conditions(compensator="ideal"))
+    rs.plan_tile(stars, own, CENTER, conditions=conditions(wavelength={"A": 0.5 * u.um, "B": 0.6 * u.um}))
+    rs.plan_tile(stars, "lamost", CENTER, conditions=conditions(wavelength={"A": 0.5 * u.um}))
+
+
+def test_light_of_fibers_needs_a_band_and_a_wavelength_of_each_type(own):
+    """Regression: a type without a band or a wavelength caused a KeyError."""
+    message = "wavelengths must be given for the fiber type 'B', because own states only the band of A, got None"
+    for given in ({"compensator": "ideal"}, {"wavelength": {"A": 0.5 * u.um, "B": 0.6 * u.um}}):
+        refused(message, lambda given=given: FiberLight(own, CENTER, conditions(**given), 1 * u.arcsec))
+    boss = conditions(wavelength={"BOSS": 0.5 * u.um})
+    assert FiberLight("lamost", CENTER, boss, 1 * u.arcsec).wavelengths[""].value.tolist() == [0.37, 0.5, 0.9]
+    refused("must have a value for the fiber type 'APOGEE'", lambda: FiberLight("sdss_apo", CENTER, boss, 1 * u.arcsec))
+
+
+WRONG = [
+    ({"guider_removes": "scale"}, "guider_removes must be a list of names, got 'scale'"),
+    ({"guider_removes": 3}, "guider_removes must be a list of names, got 3"),
+    ({"band": {}}, "band must be a Quantity"),
+    ({"band": {"A": {"B": [1, 2] * u.um}}}, "band must be a Quantity"),
+    ({"band": {1: [1, 2] * u.um}}, "band must have one value, or one for each fiber type"),
+    ({"wavelength": {}}, "wavelength must have one value, or one for each fiber type, got {}"),
+]
+
+
+@pytest.mark.parametrize(("given", "message"), WRONG)
+def test_light_that_no_instrument_can_have_is_refused(given, message):
+    """Regression: other objects than lists caused a TypeError, and an empty dict a StopIteration in projections."""
+    refused(message, lambda: Light(**given))
+
+
+def test_the_light_of_a_projection_is_checked():
+    scale = {"plate_scale": 20 * u.m / u.rad, "conditions": conditions()}
+    refused("light must be a Light, got 3", lambda: ObservedPlane(CENTER, **scale, light=3))
