@@ -20,6 +20,11 @@ LIGHT = "light."
 FRACTION = 0.1
 
 
+def light_of(values: dict) -> Light:
+    """Return the light that the entries of a description state."""
+    return Light(**{name: value_of(entry) for name, entry in select_entries(values, LIGHT).items()})
+
+
 class Projections:
     """The members that `Instrument` inherits: its light, its optics, and its projections."""
 
@@ -29,7 +34,7 @@ class Projections:
     @cached_property
     def light(self) -> Light:
         """The wavelengths in the description of the instrument, on which only plans with conditions depend."""
-        return Light(**{name: value_of(entry) for name, entry in select_entries(self.values, LIGHT).items()})
+        return light_of(self.values)
 
     @cached_property
     def optics(self) -> FieldOptics:

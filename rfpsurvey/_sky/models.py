@@ -156,9 +156,10 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
         distinct = light.distinct
         waves = np.array([coefficients(*sky.weather, wave)[0] for wave in (distinct[0], distinct[-1])])
         guide = coefficients(*sky.weather, light.guide)[0]
-        keeps = "scale" in optics.light.guider_removes
         plane = np.ascontiguousarray(zenith[:, :2] / zenith[:, 2:])
-        refraction.displacements(plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, keeps, parts)
+        refraction.displacements(
+            plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, light.keeps_scale, parts
+        )
     static, instant, mean, drift = MARGIN * factor * scale * parts
     stretch = MARGIN * factor * scale * np.tan(radius)  # at the edge (mm), for a change of all field angles by a factor
     static += MARGIN * abs(factor - 1) * edge / max(factor, 1.0) + np.linalg.norm(sky.motion[0, :3]) * stretch

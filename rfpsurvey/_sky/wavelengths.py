@@ -94,6 +94,7 @@ class ObservedLight:
     guide: float
     compensated: bool = False
     assumed: bool = False  # whether the wavelengths of the fibers are known neither for the instrument nor given
+    keeps_scale: bool = False  # whether the guider removes the mean scale
 
     @property
     def distinct(self) -> list[float]:
@@ -116,7 +117,8 @@ class ObservedLight:
     @property
     def record(self) -> dict:
         """The wavelengths as plain numbers and text, for the records of results."""
-        return {"fibers_um": self.fibers, "guide_um": self.guide, "compensated": self.compensated}
+        record = {"fibers_um": self.fibers, "guide_um": self.guide, "compensated": self.compensated}
+        return record | ({"guider_removes_scale": True} if self.keeps_scale else {})
 
     def __str__(self):
         """Return a text with the wavelengths."""
@@ -137,7 +139,7 @@ def observed_light(light: Light, conditions: ObservingConditions) -> "ObservedLi
         guide = next(iter(fibers.values())) if isinstance(fibers, dict) else fibers
     ideal = conditions.compensator == "ideal"
     ideal |= conditions.compensator == "instrument" and light.dispersion_compensator == "yes"
-    return ObservedLight(fibers, guide, ideal, assumed)
+    return ObservedLight(fibers, guide, ideal, assumed, "scale" in light.guider_removes)
 
 
 def warn_outside_band(light: Light, conditions: ObservingConditions | None) -> None:

@@ -79,6 +79,24 @@ def test_light_that_no_instrument_can_have_is_refused(given, message):
     refused(message, lambda: Light(**given))
 
 
+@pytest.mark.parametrize(
+    ("entry", "message"),
+    [
+        (
+            'wavelength = { value = 500, unit = "um" }',
+            "wavelength must be one finite value above 0.1 um",
+        ),
+        ('guider_removes = { value = ["focus"] }', "unknown displacement that the guider removes 'focus'"),
+        ('band = { value = [0, 0.5], unit = "um" }', "band must be two wavelengths"),
+    ],
+)
+def test_wrong_light_is_refused_when_a_description_is_read(tmp_path, entry, message):
+    """Regression: the error occurred only in plans with conditions, and did not contain the name of the file."""
+    path = tmp_path / "own.toml"
+    path.write_text(f"{OWN.partition('[layout]')[0]}[light]\n{entry}\n")
+    refused(f"own.toml: {message}", lambda: rs.Instrument.read(path))
+
+
 def test_the_light_of_a_projection_is_checked():
     scale = {"plate_scale": 20 * u.m / u.rad, "conditions": conditions()}
     refused("light must be a Light, got 3", lambda: ObservedPlane(CENTER, **scale, light=3))

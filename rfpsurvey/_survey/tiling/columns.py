@@ -287,7 +287,7 @@ class FieldsOfTiles:
         if (common := self.tiling.conditions) is None:
             return {}
         entries = {"conditions": self.tiling.table.meta["conditions"]}
-        if common.compensator != "none":
+        if common.compensator != "none" or None in (common.wavelength, common.guide_wavelength):
             entries["wavelengths"] = observed_light(self.instrument.light, common).record
         return entries
 
