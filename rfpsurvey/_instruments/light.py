@@ -275,10 +275,10 @@ class FiberLight:
             sky = from_lonlat(*(to_unit(tile[name], u.rad, name) for name in ("ra", "dec")))
             vectors = np.where(np.isfinite(sky), sky, vectors)
         # The local plate scale (mm per radian) is the root of the ratio of areas on the focal plane and on the sky.
-        static = self._plane(None).plain
-        inward = -np.copysign(STEP, points)
-        corner, *ends = (static.unproject(points + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
-        scale = STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
+        static, factor = self._plane(None).plain, self.conditions.scale
+        plain, inward = points / factor, -np.copysign(STEP, points)
+        corner, *ends = (static.unproject(plain + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
+        scale = factor * STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
         radius, beta = self.fiber_diameter.to_value(u.mm) / 2, exponent_of(self.profile, self.beta)
         m = len(next(iter(self.wavelengths.values())))
         waves = np.array([self.wavelengths[name].value for name in types]).reshape(-1, m)

@@ -1,5 +1,7 @@
 """Wavelengths and bands that lack a fiber type of the instrument, and objects of light that are not valid."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import pytest
 from astropy.coordinates import SkyCoord
@@ -95,6 +97,21 @@ def test_wrong_light_is_refused_when_a_description_is_read(tmp_path, entry, mess
     path = tmp_path / "own.toml"
     path.write_text(f"{OWN.partition('[layout]')[0]}[light]\n{entry}\n")
     refused(f"own.toml: {message}", lambda: rs.Instrument.read(path))
+
+
+@pytest.mark.parametrize("compensator", ["none", "instrument"])
+def test_surveys_are_not_resumed_with_other_light(presets, stars, tmp_path, compensator):
+    """Regression: with the compensator ``none``, surveys did not record the wavelengths of the instrument."""
+    tiling = rs.Tiling.from_table(QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg}))
+    tiling = tiling.with_conditions(conditions(compensator=compensator, projection="full"))
+    lamost = presets["lamost"]
+    rs.plan_survey(stars, lamost, tiling, folder=tmp_path / "survey")
+    for name, value in (("wavelength", 0.6), ("guider_removes", ["shift", "scale"])):
+        entry = {"value": value, "status": "assumed", "source": "test"} | ({"unit": "um"} if value == 0.6 else {})
+        other = replace(lamost, values={**lamost.values, f"light.{name}": entry})
+        again = {"folder": tmp_path / "survey", "resume": True}
+        refused("wavelengths differ", lambda other=other, again=again: rs.plan_survey(stars, other, tiling, **again))
+    rs.plan_survey(stars, lamost, tiling, folder=tmp_path / "survey", resume=True)
 
 
 def test_the_light_of_a_projection_is_checked():
