@@ -110,9 +110,7 @@ class Projections:
         basis = field_basis(ra, dec, angle)
         if conditions is None:
             return FieldProjection(basis, self.optics.focal_length, self.distortion)
-        model = conditions.projection
-        model = choose_model(self.optics, basis, conditions).model if model == "auto" else model
-        return field_of_model(model, basis, self.optics, conditions)
+        return field_of_model(choose_model(self.optics, basis, conditions).model, basis, self.optics, conditions)
 
     def model_choice(self, place: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
         """Return the model of the projection of a field, at right ascension, declination and position angle (rad)."""

@@ -140,7 +140,10 @@ class ModelChoice:
 
 
 def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
-    """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`."""
+    """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`.
+
+    Raise an error if the field is not above the horizon.
+    """
     light, factor = observed_light(optics.light, conditions), conditions.scale
     (scale, edge, error), radius = profile(optics, factor), optics.radius / min(factor, 1.0)
     for fiber_type in optics.fiber_types:
@@ -160,6 +163,8 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
         refraction.displacements(
             plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, light.keeps_scale, parts
         )
+    else:
+        field_of_model("full", basis, optics, conditions)  # raises an error if the field is not above the horizon
     static, instant, mean, drift = MARGIN * factor * scale * parts
     stretch = MARGIN * factor * scale * np.tan(radius)  # at the edge (mm), for a change of all field angles by a factor
     static += MARGIN * abs(factor - 1) * edge / max(factor, 1.0) + np.linalg.norm(sky.motion[0, :3]) * stretch

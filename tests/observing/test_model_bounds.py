@@ -7,6 +7,8 @@ import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
+from astropy.table import QTable
+from raising import refused
 
 import rfpsurvey as rs
 from rfpsurvey._sky.models import choose_model
@@ -65,6 +67,18 @@ def test_bounds_are_valid_for_guiders_that_remove_the_scale(presets):
         conditions = rs.ObservingConditions("xinglong", hour_angle=hours * u.hourangle, **given)
         errors, choice = assert_bounded(instrument, conditions)
         assert choice.largest["radial"] < 1.2 * errors["radial"]
+
+
+@pytest.mark.parametrize(("model", "hours"), [("tangent", 11), ("radial", 11), ("dispersion", 6.8), ("auto", 6.8)])
+def test_fields_must_be_above_the_horizon_in_all_models(model, hours):
+    """Regression: the altitude was not tested in models without refraction, nor at the end of the exposure."""
+    given = {"exposure_time": 2 * u.hour, "projection": model}
+    conditions = rs.ObservingConditions("xinglong", hour_angle=hours * u.hourangle, **given)
+    stars = rs.Catalog(CENTER.directional_offset_by([0, 90, 180] * u.deg, 0.5 * u.deg))
+    tiling = rs.Tiling.from_table(QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg})).with_conditions(conditions)
+    message = "the whole field with its radius of 2.477 deg must be above the horizon"
+    refused(message, rs.plan_tile, stars, "lamost", CENTER, conditions=conditions)
+    refused(f"tile 0: {message}", rs.plan_survey, stars, "lamost", tiling)
 
 
 @pytest.mark.parametrize(
