@@ -59,18 +59,18 @@ def profile(optics: FieldOptics, factor: float) -> tuple[float, float, float]:
 
     The field contains all directions whose images, multiplied by ``factor``, are on the focal plane.
     """
-    tangents = np.tan(np.linspace(0, optics.radius / min(factor, 1.0), N_RADII + 1))[1:, None, None]
+    tangents = np.tan(np.linspace(0, optics.radius / min(factor, 1.0), N_RADII + 1))[1:, None]
     turn = 2 * np.pi * np.arange(refraction.N_TURNS) / refraction.N_TURNS
-    plane = tangents * np.column_stack([np.cos(turn), np.sin(turn)])
-    vectors = np.dstack([plane, np.ones(plane.shape[:2])]) / np.sqrt(1 + tangents**2)
+    plane = tangents * np.exp(1j * turn)
+    vectors = np.dstack([plane.real, plane.imag, np.ones(plane.shape)]) / np.sqrt(1 + tangents**2)[..., None]
     field, values = FieldProjection(np.eye(3), optics.focal_length, optics.distortion), np.zeros(3)
     for kind in optics.distortion if isinstance(optics.distortion, dict) else [""]:
-        image = field.project(vectors.reshape(-1, 3), kind).reshape(plane.shape)
+        image = (field.project(vectors.reshape(-1, 3), kind) @ [1, 1j]).reshape(plane.shape)
         along = np.diff(image, axis=0, prepend=0.0) / np.diff(tangents, axis=0, prepend=0.0)
         across = (np.roll(image, -1, 1) - np.roll(image, 1, 1)) / (2 * np.sin(turn[1]) * tangents)
-        scale = np.linalg.norm(np.nan_to_num(np.stack([along, across], -1)), 2, (-2, -1))
-        lengths = [np.linalg.norm(points, axis=-1) for points in (image, image - optics.focal_length * plane)]
-        values = np.fmax(values, [np.nanmax(each) for each in (scale, *lengths)])
+        scale = np.abs(along - 1j * across) / 2 + np.abs(along + 1j * across) / 2  # largest singular value
+        rows = scale, np.abs(image), np.abs(image - optics.focal_length * plane)
+        values = np.fmax(values, [np.nanmax(row) for row in rows])
     return tuple(values.tolist())
 
 
