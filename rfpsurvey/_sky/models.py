@@ -11,7 +11,7 @@ from rfpsurvey._sky.conditions import MODELS, ObservingConditions
 from rfpsurvey._sky.instants import coefficients, midpoint
 from rfpsurvey._sky.observed_field import FEWEST, NO_LIGHT, ObservedField, moments_of_exposure
 from rfpsurvey._sky.projection import FieldProjection
-from rfpsurvey._sky.wavelengths import Light, observed_light
+from rfpsurvey._sky.wavelengths import ASSUMED_UM, Light, observed_light
 from rfpsurvey.errors import InputError, check_choice
 
 STATIC = ("tangent", "radial")
@@ -190,9 +190,12 @@ def _lacks_aberration(light: Light, conditions: ObservingConditions) -> bool:
 def not_included(light: Light, conditions: ObservingConditions) -> tuple[str, ...]:
     """Return the effects on positions that no model includes, each with the reason in parentheses."""
     used = observed_light(light, conditions)
-    dispersion = f"dispersion (all fibers and the guide camera are assumed to observe at {used.guide:g} um)"
+    guided = " and the guide camera" if used.guide == used.fibers else ""
+    dispersion = f"dispersion (all fibers{guided} are assumed to observe at {ASSUMED_UM:g} um)"
     aberration = "differential aberration (the conditions have an hour angle and no date)"
-    return (dispersion,) * used.assumed + (aberration,) * _lacks_aberration(light, conditions)
+    return (dispersion,) * (used.assumed and not used.compensated) + (aberration,) * _lacks_aberration(
+        light, conditions
+    )
 
 
 def check_model(model: str | None, conditions: ObservingConditions | None) -> None:

@@ -9,6 +9,7 @@ from astropy.table import QTable
 from raising import refused
 
 import rfpsurvey as rs
+from rfpsurvey.instrument import compare_projections
 from rfpsurvey.observing import FiberLight, Light, ObservedPlane
 
 CENTER = SkyCoord("6h20m +23d")
@@ -112,6 +113,21 @@ def test_surveys_are_not_resumed_with_other_light(presets, stars, tmp_path, comp
         again = {"folder": tmp_path / "survey", "resume": True}
         refused("wavelengths differ", lambda other=other, again=again: rs.plan_survey(stars, other, tiling, **again))
     rs.plan_survey(stars, lamost, tiling, folder=tmp_path / "survey", resume=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "given", "stated"),
+    [
+        ("must", {}, "dispersion (all fibers and the guide camera are assumed to observe at 0.54 um)"),
+        ("must", {"guide_wavelength": 0.7 * u.um}, "dispersion (all fibers are assumed to observe at 0.54 um)"),
+        ("must", {"compensator": "ideal"}, ""),
+        ("spec_s5", {}, ""),
+    ],
+)
+def test_comparisons_state_assumed_wavelengths_where_dispersion_matters(presets, name, given, stated):
+    """Regression: fibers were said to observe at the guide wavelength, and compensated dispersion to be neglected."""
+    used = conditions(date="2026-01-01", **given)
+    assert " ".join(compare_projections(presets[name], CENTER, used).not_included) == stated
 
 
 def test_the_light_of_a_projection_is_checked():
