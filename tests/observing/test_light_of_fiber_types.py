@@ -133,3 +133,16 @@ def test_comparisons_state_assumed_wavelengths_where_dispersion_matters(presets,
 def test_the_light_of_a_projection_is_checked():
     scale = {"plate_scale": 20 * u.m / u.rad, "conditions": conditions()}
     refused("light must be a Light, got 3", lambda: ObservedPlane(CENTER, **scale, light=3))
+
+
+def test_a_time_replaces_the_hour_angle_and_the_date(tmp_path):
+    """Regression: a time in place of that of a file, or of a tile, was an error if the conditions had a date."""
+    path = tmp_path / "conditions.toml"
+    path.write_text('site = "xinglong"\nhour_angle = "1 hourangle"\ndate = 2026-01-01\n')
+    time = "2026-01-15T15:00:00"
+    assert rs.ObservingConditions.read(path, time=time) == rs.ObservingConditions("xinglong", time=time)
+    changed = rs.ObservingConditions.read(path, hour_angle=2 * u.hourangle)
+    assert changed == conditions(date="2026-01-01").at_hour_angle(2 * u.hourangle)
+    tiling = rs.Tiling.from_table(QTable({"ra": [95.0] * u.deg, "dec": [23.0] * u.deg, "time": [time]}))
+    survey = rs.plan_survey(SkyCoord([CENTER]), "lamost", tiling.with_conditions(conditions(date="2026-01-01")))
+    assert str(survey.tiles["time"][0]).startswith(time)
