@@ -197,7 +197,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     light = observed_light(instrument.light, cases[0])
     by_type = isinstance(instrument.distortion, dict) or (isinstance(light.fibers, dict) and not light.compensated)
     kinds = instrument.focal_plane.fiber_types if by_type else [None]
-    points, n_spread = _points(instrument, plane.plain, kinds)
+    points, n_spread = _points(instrument, plane.plain, kinds, cases[0].scale)
     moved, drift = zip(
         *(displacements(points, kinds, plane.plain.basis, instrument.optics, case) for case in cases), strict=True
     )
@@ -222,7 +222,7 @@ def _compare(instrument, plane, cases, tolerance=None) -> ProjectionComparison:
     return ProjectionComparison(table, tolerance, drift, not_included(instrument.light, cases[0]))
 
 
-def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int]:
+def _points(instrument, static: FieldProjection, kinds, scale: float) -> tuple[np.ndarray, int]:
     """Return points (mm) for each fiber type, shape (m, n, 2), and how many of them are centers of positioners.
 
     The other points are on the boundary of the convex hull of all patrol areas, where displacements are largest.
@@ -233,7 +233,7 @@ def _points(instrument, static: FieldProjection, kinds) -> tuple[np.ndarray, int
     points = np.array([np.vstack([arrays.xy[order[rows]], _edge(instrument.focal_plane)])] * len(kinds))
     for xy, kind in zip(points, kinds, strict=True):
         # the radial map of the fiber type can end inside the patrol areas
-        while (beyond := np.isnan(static.unproject(xy, kind)).any(axis=1)).any():
+        while (beyond := np.isnan(static.unproject(xy / scale, kind)).any(axis=1)).any():
             xy[beyond] *= SHRINK
     return points, len(rows)
 

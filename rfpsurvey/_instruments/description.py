@@ -38,7 +38,7 @@ from rfpsurvey._instruments.margins import Margins
 from rfpsurvey._instruments.modules import cell_centers, hexagonal_cells
 from rfpsurvey._instruments.pfs_files import cobra_ids
 from rfpsurvey._instruments.positioner import Positioner
-from rfpsurvey._instruments.projections import LIGHT, Projections
+from rfpsurvey._instruments.projections import LIGHT, Projections, light_of
 from rfpsurvey._sky.radial_map import RadialMap
 from rfpsurvey.errors import InputError, check_choice, short
 
@@ -199,6 +199,7 @@ def build(content: dict, folder: Path) -> dict:
     for section, entries in sections_of(content).items():
         for name, entry in entries.items():
             values[f"{section}.{name}"] = {**entry, "source": sources.get(entry["source"], entry["source"])}
+    light_of(values)  # raises an error if the light is not valid
 
     def get(name, default=None):
         return value_of(values[name]) if name in values else default

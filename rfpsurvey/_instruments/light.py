@@ -15,7 +15,7 @@ from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
 from rfpsurvey._sky.light import checked, exponent_of, fraction_within, seeing_fwhm, to_number
 from rfpsurvey._sky.projection import TangentPlane
 from rfpsurvey._sky.wavelengths import observed_light
-from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, check_switch, short
+from rfpsurvey.errors import InputError, check_fiber_type, check_keywords, check_switch, listed, short
 
 # N_POSITIONS: number of positions in the field at which the smallest light is computed. STEP: length (mm) of the
 # differences from which the local plate scale is computed. N_MOMENTS: number of moments in the mean over an exposure
@@ -275,10 +275,10 @@ class FiberLight:
             sky = from_lonlat(*(to_unit(tile[name], u.rad, name) for name in ("ra", "dec")))
             vectors = np.where(np.isfinite(sky), sky, vectors)
         # The local plate scale (mm per radian) is the root of the ratio of areas on the focal plane and on the sky.
-        static = self._plane(None).plain
-        inward = -np.copysign(STEP, points)
-        corner, *ends = (static.unproject(points + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
-        scale = STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
+        static, factor = self._plane(None).plain, self.conditions.scale
+        plain, inward = points / factor, -np.copysign(STEP, points)
+        corner, *ends = (static.unproject(plain + inward * axis, types) for axis in ([0, 0], [1, 0], [0, 1]))
+        scale = factor * STEP / np.sqrt(np.linalg.norm(np.cross(*(end - corner for end in ends)), axis=1))
         radius, beta = self.fiber_diameter.to_value(u.mm) / 2, exponent_of(self.profile, self.beta)
         m = len(next(iter(self.wavelengths.values())))
         waves = np.array([self.wavelengths[name].value for name in types]).reshape(-1, m)
@@ -310,7 +310,11 @@ def _of_bands(instrument: Instrument, conditions: ObservingConditions) -> dict[s
         raise InputError(f"wavelengths must be given for {instrument.name}, which states no band, got None")
     waves = {}
     for name in instrument.focal_plane.fiber_types:
-        low, high = (bands[name] if isinstance(bands, dict) else bands).to_value(u.um)
-        placed = used.fibers[name] if isinstance(used.fibers, dict) else used.fibers
+        band = bands.get(name) if isinstance(bands, dict) else bands
+        if band is None:
+            known = f"{instrument.name} states only the band of {listed(bands)}"
+            raise InputError(f"wavelengths must be given for the fiber type {name!r}, because {known}, got None")
+        low, high = band.to_value(u.um)
+        placed = replace(used, compensated=False).of(name)
         waves[name] = [low, np.clip(placed, low, high), high] * u.um
     return waves

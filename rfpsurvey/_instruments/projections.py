@@ -20,6 +20,11 @@ LIGHT = "light."
 FRACTION = 0.1
 
 
+def light_of(values: dict) -> Light:
+    """Return the light that the entries of a description state."""
+    return Light(**{name: value_of(entry) for name, entry in select_entries(values, LIGHT).items()})
+
+
 class Projections:
     """The members that `Instrument` inherits: its light, its optics, and its projections."""
 
@@ -29,7 +34,7 @@ class Projections:
     @cached_property
     def light(self) -> Light:
         """The wavelengths in the description of the instrument, on which only plans with conditions depend."""
-        return Light(**{name: value_of(entry) for name, entry in select_entries(self.values, LIGHT).items()})
+        return light_of(self.values)
 
     @cached_property
     def optics(self) -> FieldOptics:
@@ -41,6 +46,7 @@ class Projections:
             float(self.field_radius.to_value(u.rad)),
             self.light,
             None if diameter is None else float(FRACTION * value_of(diameter).to_value(u.mm)),
+            tuple(map(str, self.focal_plane.fiber_types)),
         )
 
     def projection(
@@ -104,9 +110,7 @@ class Projections:
         basis = field_basis(ra, dec, angle)
         if conditions is None:
             return FieldProjection(basis, self.optics.focal_length, self.distortion)
-        model = conditions.projection
-        model = choose_model(self.optics, basis, conditions).model if model == "auto" else model
-        return field_of_model(model, basis, self.optics, conditions)
+        return field_of_model(choose_model(self.optics, basis, conditions).model, basis, self.optics, conditions)
 
     def model_choice(self, place: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
         """Return the model of the projection of a field, at right ascension, declination and position angle (rad)."""

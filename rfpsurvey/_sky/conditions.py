@@ -263,8 +263,8 @@ class ObservingConditions(Settings):
         """
         path = to_path(path)
         given = {name: _from_text(name, value, path) for name, value in read_toml(path).items()}
-        if {"time", "hour_angle"} & set(changes):
-            given = {name: value for name, value in given.items() if name not in ("time", "hour_angle")}
+        replaced = {"time": ("hour_angle", "date"), "hour_angle": ("time",)}
+        given = {k: value for k, value in given.items() if not any(k in replaced.get(name, ()) for name in changes)}
         if "site" not in {**given, **changes}:
             raise InputError(f'{path} must state the site, such as site = "xinglong", got {listed(given)}')
         try:

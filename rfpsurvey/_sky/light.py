@@ -3,7 +3,8 @@
 import astropy.units as u
 import numpy as np
 
-from rfpsurvey._common.units import to_numbers, to_scalar, to_unit
+from rfpsurvey._common.settings import Option, number_within
+from rfpsurvey._common.units import to_numbers, to_unit
 from rfpsurvey.errors import InputError, check_choice, check_keywords, refusing
 
 PROFILES = ("gaussian", "moffat")
@@ -30,7 +31,7 @@ def _broadcast(names: str, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
 
 def to_number(value: object, name: str, low: float, high: float) -> float:
     """Return one number between two limits."""
-    return to_scalar(to_numbers(value, name, unitless=True) * u.one, u.one, name, low=low, high=high)
+    return float(number_within(value, name, Option(above=low, below=high)))
 
 
 def exponent_of(profile: str, beta: float) -> float:

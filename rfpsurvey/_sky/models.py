@@ -2,9 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import lru_cache
 
-import astropy.units as u
 import numpy as np
 
 from rfpsurvey._kernels import refraction
@@ -12,8 +11,7 @@ from rfpsurvey._sky.conditions import MODELS, ObservingConditions
 from rfpsurvey._sky.instants import coefficients, midpoint
 from rfpsurvey._sky.observed_field import FEWEST, NO_LIGHT, ObservedField, moments_of_exposure
 from rfpsurvey._sky.projection import FieldProjection
-from rfpsurvey._sky.radial_map import RadialMap
-from rfpsurvey._sky.wavelengths import Light, observed_light
+from rfpsurvey._sky.wavelengths import ASSUMED_UM, Light, observed_light
 from rfpsurvey.errors import InputError, check_choice
 
 STATIC = ("tangent", "radial")
@@ -43,6 +41,8 @@ class FieldOptics:
         Wavelengths that the instrument observes.
     tolerance : float, optional
         Largest negligible position error (mm).
+    fiber_types : tuple of str, optional
+        Fiber types of the instrument.
     """
 
     focal_length: float
@@ -50,22 +50,28 @@ class FieldOptics:
     radius: float = 0.0
     light: Light = NO_LIGHT
     tolerance: float | None = None
+    fiber_types: tuple[str, ...] = ()
 
-    @cached_property
-    def profile(self) -> tuple[float, float, float]:
-        """Largest scale (mm/rad) in the field, radius of the field (mm), and error of a tangent plane (mm)."""
-        angles = np.linspace(0, self.radius, N_RADII + 1)[1:]
-        tangent, scale, edge, error = self.focal_length * np.tan(angles), 0.0, 0.0, 0.0
-        maps = self.distortion.values() if isinstance(self.distortion, dict) else [self.distortion]
-        for optics in maps:
-            radii = tangent
-            if isinstance(optics, RadialMap):
-                known = angles[angles < optics.max_angle.to_value(u.rad)]
-                radii = optics.to_radius(known * u.rad).to_value(u.mm)
-            steps = np.diff(radii, prepend=0.0) / angles[0]
-            scale = max(scale, steps.max(), (radii / angles[: len(radii)]).max())
-            edge, error = max(edge, radii[-1]), max(error, np.abs(radii - tangent[: len(radii)]).max())
-        return float(scale), float(edge), float(error)
+
+@lru_cache(maxsize=16)
+def profile(optics: FieldOptics, factor: float) -> tuple[float, float, float]:
+    """Return the largest scale (mm) of the map from tangents, its radius (mm), and the error of a tangent plane (mm).
+
+    The field contains all directions whose images, multiplied by ``factor``, are on the focal plane.
+    """
+    tangents = np.tan(np.linspace(0, optics.radius / min(factor, 1.0), N_RADII + 1))[1:, None]
+    turn = 2 * np.pi * np.arange(refraction.N_TURNS) / refraction.N_TURNS
+    plane = tangents * np.exp(1j * turn)
+    vectors = np.dstack([plane.real, plane.imag, np.ones(plane.shape)]) / np.sqrt(1 + tangents**2)[..., None]
+    field, values = FieldProjection(np.eye(3), optics.focal_length, optics.distortion), np.zeros(3)
+    for kind in optics.distortion if isinstance(optics.distortion, dict) else [""]:
+        image = (field.project(vectors.reshape(-1, 3), kind) @ [1, 1j]).reshape(plane.shape)
+        along = np.diff(image, axis=0, prepend=0.0) / np.diff(tangents, axis=0, prepend=0.0)
+        across = (np.roll(image, -1, 1) - np.roll(image, 1, 1)) / (2 * np.sin(turn[1]) * tangents)
+        scale = np.abs(along - 1j * across) / 2 + np.abs(along + 1j * across) / 2  # largest singular value
+        rows = scale, np.abs(image), np.abs(image - optics.focal_length * plane)
+        values = np.fmax(values, [np.nanmax(row) for row in rows])
+    return tuple(values.tolist())
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,10 +105,14 @@ class ModelChoice:
         """Return a sentence on the accuracy of the model, and on wavelengths."""
         error, limit = self.largest[self.model], self.tolerance
         text = f"positions are {f'within {error:.2g} mm of ' if error else ''}those of the model full"
+        if np.isinf(error):
+            text = f"the error of the model {self.model} is not known close to the horizon"
         if limit is not None:
-            text += f" (tolerance {limit:.3g} mm{', which is exceeded' if error > limit else ''})"
+            text += f" (tolerance {limit:.3g} mm{', which is exceeded' if limit < error < np.inf else ''})"
         text += f"; {self.light}"
-        if self.drift:
+        if np.isinf(self.drift):
+            text += "; the motion of targets during the exposure is not known close to the horizon"
+        elif self.drift:
             text += f"; targets move by up to {self.drift:.2g} mm during the exposure"
         if self.aberration:
             size = "" if limit is None else f", {'more' if self.aberration > limit else 'less'} than the tolerance"
@@ -116,7 +126,7 @@ class ModelChoice:
             "sufficient": self.sufficient,
             "sentence": str(self),
             "tolerance_mm": self.tolerance,
-            "drift_mm": round(self.drift, 6),
+            "drift_mm": None if np.isinf(self.drift) else round(self.drift, 6),
             "largest_mm": {name: None if np.isinf(value) else round(value, 6) for name, value in self.largest.items()},
             "wavelengths": self.light.record,
             "unknown_aberration_mm": round(self.aberration, 6),
@@ -130,24 +140,34 @@ class ModelChoice:
 
 
 def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingConditions) -> ModelChoice:
-    """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`."""
-    light, (scale, edge, error) = observed_light(optics.light, conditions), optics.profile
+    """Return the fastest model that is accurate enough for a field; ``basis`` is that of `ObservedField`.
+
+    Raise an error if the field is not above the horizon.
+    """
+    light, factor = observed_light(optics.light, conditions), conditions.scale
+    (scale, edge, error), radius = profile(optics, factor), optics.radius / min(factor, 1.0)
+    for fiber_type in optics.fiber_types:
+        light.of(fiber_type)  # raises an error if the wavelength is not known
     half, seconds, weights = conditions.numbers.half_exposure, np.zeros(1), np.ones(1)
     if half:
         moments, weights, _ = moments_of_exposure(FEWEST if half <= LONG else MANY)
         seconds = half * moments
     sky = midpoint(conditions, float(np.arctan2(basis[2, 1], basis[2, 0])))
     zenith = sky.zeniths(seconds) @ basis.T
-    parts = np.full(4, np.inf)
-    if zenith[:, 2].min() > np.sin(LOWEST + optics.radius):
+    parts = np.array([np.inf, np.inf, np.inf, np.inf if half else 0.0])
+    if zenith[:, 2].min() > np.sin(LOWEST + radius):
         distinct = light.distinct
         waves = np.array([coefficients(*sky.weather, wave)[0] for wave in (distinct[0], distinct[-1])])
         guide = coefficients(*sky.weather, light.guide)[0]
         plane = np.ascontiguousarray(zenith[:, :2] / zenith[:, 2:])
-        refraction.displacements(plane, weights, len(seconds) // 2, np.tan(optics.radius), guide, waves, parts)
-    static, instant, mean, drift = MARGIN * scale * parts
-    stretch = MARGIN * scale * np.tan(optics.radius)  # at the edge (mm), for a change of all field angles by a factor
-    static += abs(conditions.scale - 1) * edge + np.linalg.norm(sky.motion[0, :3]) * stretch
+        refraction.displacements(
+            plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, light.keeps_scale, parts
+        )
+    else:
+        field_of_model("full", basis, optics, conditions)  # raises an error if the field is not above the horizon
+    static, instant, mean, drift = MARGIN * factor * scale * parts
+    stretch = MARGIN * factor * scale * np.tan(radius)  # at the edge (mm), for a change of all field angles by a factor
+    static += MARGIN * abs(factor - 1) * edge / max(factor, 1.0) + np.linalg.norm(sky.motion[0, :3]) * stretch
     largest = {
         "tangent": static + error,
         "radial": static,
@@ -170,9 +190,12 @@ def _lacks_aberration(light: Light, conditions: ObservingConditions) -> bool:
 def not_included(light: Light, conditions: ObservingConditions) -> tuple[str, ...]:
     """Return the effects on positions that no model includes, each with the reason in parentheses."""
     used = observed_light(light, conditions)
-    dispersion = f"dispersion (all fibers and the guide camera are assumed to observe at {used.guide:g} um)"
+    guided = " and the guide camera" if used.guide == used.fibers else ""
+    dispersion = f"dispersion (all fibers{guided} are assumed to observe at {ASSUMED_UM:g} um)"
     aberration = "differential aberration (the conditions have an hour angle and no date)"
-    return (dispersion,) * used.assumed + (aberration,) * _lacks_aberration(light, conditions)
+    return (dispersion,) * (used.assumed and not used.compensated) + (aberration,) * _lacks_aberration(
+        light, conditions
+    )
 
 
 def check_model(model: str | None, conditions: ObservingConditions | None) -> None:

@@ -96,7 +96,6 @@ class ObservedField:
         self.light = observed_light(light, conditions)
         if model == "refraction":
             self.light = replace(self.light, compensated=True)
-        self._keeps_scale = "scale" in light.guider_removes
         self._ra = float(np.arctan2(basis[2, 1], basis[2, 0]))
         half, n = conditions.numbers.half_exposure, FEWEST
         if half == 0 or model != "full":
@@ -175,7 +174,7 @@ class ObservedField:
         self._instants = midpoint(self.conditions, self._ra) if single else Instants(self.conditions, self._ra, seconds)
         self.frames, scale = self._frames(self._instants, radius)
         self._turns = self.frames.copy()
-        if self._keeps_scale:
+        if self.light.keeps_scale:
             self._turns[:, :2] /= scale[:, None, None]
 
     def _error(self, weights: np.ndarray, radius: float) -> float:

@@ -12,7 +12,7 @@ from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
 from rfpsurvey._sky.observed_field import NO_LIGHT, ObservedField
 from rfpsurvey._sky.projection import TangentPlane
 from rfpsurvey._sky.wavelengths import Light
-from rfpsurvey.errors import check_keywords
+from rfpsurvey.errors import InputTypeError, check_keywords, short
 
 # MOST_STEP: largest change (rad) of the parallactic angle in a step. SHORTEST: shortest step (s).
 MOST_STEP, SHORTEST = np.pi / 6, 1e-6
@@ -63,6 +63,8 @@ class ObservedPlane(TangentPlane):
     def __post_init__(self):
         super().__post_init__()
         check_conditions(self.conditions)
+        if not isinstance(self.light, Light):
+            raise InputTypeError(f"light must be a Light, got {short(self.light)}")
         to_scalar(self.field_radius, u.deg, "field_radius", low=0, high=90, closed=True)
         _ = self.plain  # raises an error if the field is below the horizon
 

@@ -10,7 +10,7 @@ import numpy as np
 from rfpsurvey._common.settings import Checked, option
 from rfpsurvey._common.units import ByValue, to_unit
 from rfpsurvey._sky.conditions import WAVELENGTHS, ObservingConditions, in_micrometers
-from rfpsurvey.errors import InputError, check_choice, check_keywords, listed, short, warn
+from rfpsurvey.errors import InputError, InputTypeError, check_choice, check_keywords, listed, short, warn
 
 ASSUMED_UM = 0.54
 COMPENSATORS = ("yes", "no", "unknown")
@@ -19,7 +19,7 @@ REMOVED = ("shift", "rotation", "scale")
 
 def _bands(value: object) -> u.Quantity | dict[str, u.Quantity]:
     """Return a band, or the band of each fiber type, after a check."""
-    if isinstance(value, dict):
+    if isinstance(value, dict) and value and not any(isinstance(band, dict) for band in value.values()):
         return {name: _bands(band) for name, band in value.items()}
     low_high = to_unit(value, u.um, "band")
     if low_high.shape != (2,) or not 0 < low_high[0] < low_high[1] < np.inf:
@@ -28,6 +28,8 @@ def _bands(value: object) -> u.Quantity | dict[str, u.Quantity]:
 
 
 def _removed(value: Sequence[str]) -> tuple[str, ...]:
+    if not isinstance(value, list | tuple):
+        raise InputTypeError(f"guider_removes must be a list of names, got {short(value)}")
     return tuple(check_choice(name, REMOVED, "displacement that the guider removes") for name in value)
 
 
@@ -69,6 +71,12 @@ class Light(Checked, ByValue):
     dispersion_compensator: str = option("unknown", choices=COMPENSATORS)
     guider_removes: tuple[str, ...] = option(REMOVED[:2], convert=_removed)
 
+    def _check(self):
+        for name in ("band", "wavelength"):
+            value = getattr(self, name)
+            if isinstance(value, dict) and not (value and all(isinstance(kind, str) for kind in value)):
+                raise InputError(f"{name} must have one value, or one for each fiber type, got {short(value)}")
+
     @cached_property
     def _numbers(self) -> tuple:
         return in_micrometers(self.wavelength), in_micrometers(self.guide_wavelength)
@@ -86,6 +94,7 @@ class ObservedLight:
     guide: float
     compensated: bool = False
     assumed: bool = False  # whether the wavelengths of the fibers are known neither for the instrument nor given
+    keeps_scale: bool = False  # whether the guider removes the mean scale
 
     @property
     def distinct(self) -> list[float]:
@@ -95,9 +104,10 @@ class ObservedLight:
         return sorted({*self.fibers.values()}) if isinstance(self.fibers, dict) else [self.fibers]
 
     def of(self, fiber_type: str) -> float:
-        """Return the wavelength whose refraction displaces the images of targets of a fiber type."""
+        """Return the wavelength of the image of a target of a fiber type; ``""`` is the first type."""
         if self.compensated or not isinstance(self.fibers, dict):
             return self.guide if self.compensated else self.fibers
+        fiber_type = fiber_type or next(iter(self.fibers))
         if fiber_type not in self.fibers:
             raise InputError(
                 f"wavelength must have a value for the fiber type {fiber_type!r}, got values for {listed(self.fibers)}"
@@ -107,7 +117,8 @@ class ObservedLight:
     @property
     def record(self) -> dict:
         """The wavelengths as plain numbers and text, for the records of results."""
-        return {"fibers_um": self.fibers, "guide_um": self.guide, "compensated": self.compensated}
+        record = {"fibers_um": self.fibers, "guide_um": self.guide, "compensated": self.compensated}
+        return record | ({"guider_removes_scale": True} if self.keeps_scale else {})
 
     def __str__(self):
         """Return a text with the wavelengths."""
@@ -128,7 +139,7 @@ def observed_light(light: Light, conditions: ObservingConditions) -> "ObservedLi
         guide = next(iter(fibers.values())) if isinstance(fibers, dict) else fibers
     ideal = conditions.compensator == "ideal"
     ideal |= conditions.compensator == "instrument" and light.dispersion_compensator == "yes"
-    return ObservedLight(fibers, guide, ideal, assumed)
+    return ObservedLight(fibers, guide, ideal, assumed, "scale" in light.guider_removes)
 
 
 def warn_outside_band(light: Light, conditions: ObservingConditions | None) -> None:

@@ -241,7 +241,8 @@ def test_wrong_values_of_the_light_of_fibers_are_errors(given, text):
 
 
 def test_wrong_arguments_of_the_methods_of_the_light_of_fibers_are_errors(planned):
-    refused("limit must be one finite value above 0 and below 1", light_at(0).hour_angle_window, 1.0)
+    for limit in (1.0, "x", None):
+        refused("limit must be a number above 0 and below 1, got", light_at(0).hour_angle_window, limit)
     refused("move_fibers must be", light_at(0).best_guide_wavelength, move_fibers="no")
     refused("tile must have the column 'tip_y'", light_at(0).table, planned[1]["full"]["id", "status", "tip_x"])
 
@@ -260,6 +261,18 @@ def test_the_light_of_a_tile_has_its_conditions_and_the_bands_of_the_instrument(
     assert dispersed.conditions.guide_wavelength == 0.6231 * UM
     given = FiberLight.of_tile(tile, SEEING, presets["desi"], wavelengths=[0.5] * UM)
     assert given.table(tile)["fraction"].shape == (len(table), 1)
+
+
+@pytest.mark.parametrize("scale", [0.9, 1.1])
+def test_the_local_plate_scale_contains_the_scale_of_the_conditions(scale):
+    """Regression: images did not have the scale. Fibers whose diameter has the scale collect the same light."""
+
+    def fraction(scale):
+        options = {"fiber_diameter": 0.32 * scale * u.mm, "wavelengths": [0.5] * UM}
+        conditions = conditions_at(0, "xinglong", pressure=0 * u.hPa, scale=scale)
+        return FiberLight("lamost", CENTER, conditions, SEEING, **options).table()["fraction"]
+
+    np.testing.assert_allclose(fraction(scale), fraction(1), rtol=1e-3)
 
 
 def test_the_guider_observes_at_one_wavelength():

@@ -195,7 +195,8 @@ def conditions_of_rows(common: ObservingConditions, table: QTable) -> list[Obser
     if name is None:
         return [common] * len(table)
     values = _read_times(table) if name == "time" else table[name]
-    return [replace(common, **{**dict.fromkeys(WHEN), name: value}) for value in values]
+    date = None if name == "time" else common.date
+    return [replace(common, **{**dict.fromkeys(WHEN), "date": date, name: value}) for value in values]
 
 
 def places_of_tiles(tiling: "Tiling") -> np.ndarray:
@@ -287,7 +288,7 @@ class FieldsOfTiles:
         if (common := self.tiling.conditions) is None:
             return {}
         entries = {"conditions": self.tiling.table.meta["conditions"]}
-        if common.compensator != "none":
+        if common.compensator != "none" or None in (common.wavelength, common.guide_wavelength):
             entries["wavelengths"] = observed_light(self.instrument.light, common).record
         return entries
 
