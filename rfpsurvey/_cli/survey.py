@@ -1,6 +1,7 @@
 """The commands ``rfpsurvey survey``, ``record``, ``status`` and ``diff``."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated
@@ -17,7 +18,6 @@ from rfpsurvey._cli import printing as _print
 from rfpsurvey._cli import surveys as _surveys
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.printing import print_facts, print_text
-from rfpsurvey._common.files import WRITABLE, check_output
 from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import is_number, parse_number
 from rfpsurvey._survey import key_objects
@@ -196,7 +196,13 @@ def status(
         Path | None,
         typer.Option(help="Plot the visits and tiles by date, and the visits of each class (.png, .pdf or .svg)."),
     ] = None,
-    report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a report as a self-contained page (.html), with the tiles and the completeness after each "
+            "night, the fibers of each tile, and those that the last plan of the rest changed."
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     events: Annotated[
         bool, typer.Option("--events", help="List all records (rfpsurvey record), with their numbers, and exit.")
@@ -240,7 +246,7 @@ def status(
         outputs,
         write=state.write,
         draw=lambda: rs.plot.plot_survey_status(progress)[0].figure,
-        report=(progress, {}),
+        report=(state, {}),
     ):
         _print.print_facts(status_facts(progress), 24)
         print("tiles of each pass by state:")
@@ -275,6 +281,13 @@ def diff(
     output: Annotated[
         Path | None, typer.Option(help="Write a table with a row for each tile and each fiber that changed.")
     ] = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            help="Write a report as a self-contained page (.html): that of rfpsurvey status SECOND --report, with the "
+            "fibers that differ from the first plan."
+        ),
+    ] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """List the tiles and fibers that differ between two plans of a survey, and the reasons.
@@ -282,13 +295,18 @@ def diff(
     Examples
     --------
     rfpsurvey diff before plan
-    rfpsurvey diff before plan --output changes.ecsv
+    rfpsurvey diff before plan --output changes.ecsv --report changes.html
     """
-    if output is not None:
-        check_output(output, WRITABLE, overwrite=overwrite)
+    outputs = SimpleNamespace(path=output, plot=None, report=report, overwrite=overwrite)
+    _app.check_outputs(outputs)
     table = diff_surveys(first, second)
-    if output is not None:
-        write_table(table, output, overwrite=overwrite)
+    state = None if report is None else state_in(second, tell=_print.print_text)
+    with _print.files(outputs, write=partial(write_table, table), report=(state, {"before": table})):
+        _print_differences(table, first, second)
+
+
+def _print_differences(table: QTable, first: Path, second: Path) -> None:
+    """Print the tiles and fibers that differ between two plans."""
     n_tiles = table.meta["n_tiles"]
     if len(table) == 0:
         print(f"the plans are the same: {number_of(n_tiles[0], 'tile')}")
@@ -309,5 +327,3 @@ def diff(
         _print.print_text(f"tile {tile}: {', '.join(words[tile])}")
     if len(words) > MOST_TILES:
         print(f"and {number_of(len(words) - MOST_TILES, 'more tile')}")
-    if output is not None:
-        print(f"wrote {output}")

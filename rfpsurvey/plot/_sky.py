@@ -6,7 +6,7 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import BoundaryNorm
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from rfpsurvey._common.units import to_direction, to_scalar
@@ -25,6 +25,7 @@ from rfpsurvey.plot._axes import (
     new_axes,
     new_figure,
 )
+from rfpsurvey.plot._classes import STATE_COLORS
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 
 MOST_STEPS = 12
@@ -193,6 +194,22 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
         if steps:
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
+
+
+def draw_states(tiles: Tiling, radius: float) -> Axes:
+    """Return a map of tiles that are colored by their column ``state``; the radius of a field is in degrees."""
+    names, states = [*STATE_COLORS], tiles.table["state"].tolist()
+    table = tiles.table.copy()
+    table["code"] = [names.index(state) for state in states]
+    look = {"cmap": ListedColormap([*STATE_COLORS.values()]), "alpha": None}
+    look["norm"] = BoundaryNorm(np.arange(-0.5, len(names)), len(names))
+    ax = plot_tiling(Tiling(table), color="code", radius=radius * u.deg, **look)
+    if ax.child_axes:  # there are several states
+        ax.child_axes[-1].set_yticks(range(len(names)), labels=names)
+        ax.child_axes[-1].set_ylabel("state")
+    else:
+        ax.set_title(f"all tiles: {states[0]}", fontsize="small")
+    return ax
 
 
 def draw_rims(ax: Axes, rims: np.ndarray, zorder: float) -> None:

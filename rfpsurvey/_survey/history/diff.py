@@ -10,10 +10,12 @@ from astropy.table import QTable
 from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.folder import check_file
 from rfpsurvey._survey.columns import NOT_PLANNED, PAST
-from rfpsurvey._survey.folder import part_name
+from rfpsurvey._survey.folder import kept_name, parse_visits, part_name, read_request, verified
+from rfpsurvey._survey.generations import generations_of, read_plans
 from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey._survey.history.events import WORDS, Events, TileState, places_of
 from rfpsurvey._survey.history.replay import Replay, replay_of_plan
+from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.targets import DROPPED, ROW
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey.errors import InputError, refusal
@@ -97,14 +99,52 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         earlier.see(rows[0]), later.see(rows[1])
     for name, rows in compared:
         changes[name].append(_fibers(name, earlier, rows[0], later, rows[1]))
-    columns = zip(*(part for parts in changes.values() for part in parts), strict=True)
-    table = QTable(dict(zip(DIFF, map(np.concatenate, columns), strict=True)))
+    table = _table([part for parts in changes.values() for part in parts])
     table.meta = {
         "made_by": "diff_surveys",
         "n_tiles": [len(earlier.row_of), len(later.row_of)],
         "n_later_files": [earlier.n_later_files, later.n_later_files],
     }
-    return describe(table, DIFF)
+    return table
+
+
+def diff_generations(survey: Survey, state: SurveyState) -> QTable:
+    """Return the fibers that differ between the plan of a survey and the last plan before it that was kept.
+
+    The columns are those of `diff_surveys`. The last generation determines which tiles are compared: those whose plans
+    it introduced. ``meta["generation"]`` is its number, and ``meta["unknown"]`` contains the tiles of which no earlier
+    plan was kept.
+    """
+    folder, later = survey.folder, _Side(survey, "second")
+    generations, plans = generations_of(folder, read_request(folder)), read_plans(folder)
+    number, parts, unknown, replaced = generations[-1].number, [], [], {}
+    for name, row in later.row_of.items() if len(generations) > 1 else ():
+        of_tile = plans.get(part_name(row), [])
+        if later.survey._states[row] in NOT_PLANNED or of_tile[-1:] != [(later.digest(row), number)]:
+            continue
+        content = verified(folder / kept_name(of_tile[-2][0]), of_tile[-2][0]) if len(of_tile) > 1 else None
+        if content is None:
+            unknown.append(name)
+        else:
+            replaced[row] = parse_visits(content, f"the former plan of tile {name}", name)[0]
+    if replaced:
+        present, earlier = (
+            SurveyState._of(events, state.given, state.rule, None)
+            for events in (later.events, later.events.first(generations[-2].n_files))
+        )
+        later.requested, former = present.requested, _Former(later, earlier, replaced)
+        for row in replaced:
+            former.see(row), later.see(row)
+        names = {row: name for name, row in later.row_of.items()}
+        parts = [_fibers(names[row], former, row, later, row) for row in replaced]
+    table = _table([_changes("", []), *parts])
+    table.meta = {"made_by": "diff_generations", "generation": number, "unknown": unknown}
+    return table
+
+
+def _table(parts: list[list[np.ndarray]]) -> QTable:
+    """Return the table of parts, which contain arrays for all columns."""
+    return describe(QTable(dict(zip(DIFF, map(np.concatenate, zip(*parts, strict=True)), strict=True))), DIFF)
 
 
 class _Side:
@@ -133,10 +173,14 @@ class _Side:
         check_file(self.survey.folder, part_name(row), self.survey._known)
         return self.survey._known[part_name(row)][-1][1]
 
+    def visits(self, row: int) -> QTable | np.ndarray:
+        """Return the visits of a tile."""
+        return self.survey._visits(row)
+
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""
-        visits = self.survey._visits(row)
-        if "priority" in visits.colnames:
+        visits = self.visits(row)
+        if "priority" in (visits.colnames if isinstance(visits, QTable) else visits.dtype.names):
             target = np.asarray(visits["target_row"])
             self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
 
@@ -155,6 +199,19 @@ class _Side:
         return dropped
 
 
+class _Former(_Side):
+    """Replaced plans of the tiles in some rows, and the state with which they were made."""
+
+    def __init__(self, later: _Side, state: SurveyState, replaced: dict[int, np.ndarray]):
+        self.replaced, self.requested, self.dropped = replaced, state.requested, state.dropped
+        self.replayed, self.ids = state.replayed, later.ids[: len(state)]
+        self.priority = np.full(len(self.ids), np.nan)
+
+    def visits(self, row: int) -> np.ndarray:
+        """Return the visits of the replaced plan of a tile."""
+        return self.replaced[row]
+
+
 def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
     """Return the columns of rows on changes of a whole tile."""
     n = len(reasons)
@@ -163,7 +220,7 @@ def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
 
 def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -> list[np.ndarray]:
     """Return the columns of rows on the fibers of a tile that have another target."""
-    visits = earlier.survey._visits(row), later.survey._visits(later_row)
+    visits = earlier.visits(row), later.visits(later_row)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
         raise InputError("the surveys must have the same instrument, got other identifiers of positioners")

@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._common.descriptions import Column, Fact, describe, facts_of, table_of
-from rfpsurvey._field.verdicts import Outcome
+from rfpsurvey._field.verdicts import OUTCOMES, Outcome
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.bookkeeping import classes_by_column, rows_by_class
 from rfpsurvey._survey.columns import PAST
@@ -33,6 +33,9 @@ STATUS = table_of(
     Column("n_impossible", "remaining visits of targets that no tile can observe"),
     Column("n_expired", "visits that are no longer requested, because no tile that remains may make them"),
 )
+LOST = Outcome.LOST_TO_A_COLLISION
+IMPOSSIBLE = (Outcome.OUT_OF_REACH, Outcome.IN_NO_FIELD, Outcome.EXCLUDED_BY_A_CONSTRAINT)
+"""Outcomes of targets that no tile can observe."""
 SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
 """Sizes of areas on the sky in degrees, and their largest number."""
 STATUS_FACTS = (
@@ -82,8 +85,9 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles``
         (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
         ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
-        each date), ``failures`` (positioners whose visits failed in several tiles), and ``is_planned``, which states
-        whether the last plan takes all events into account.
+        each date), ``failures`` (positioners whose visits failed in several tiles), ``reasons`` (numbers of targets and
+        visits that are lost, impossible or expired, by reason), and ``is_planned``, which states whether the last plan
+        takes all events into account.
 
     Raises
     ------
@@ -119,8 +123,8 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     not_planned, n_added = left - planned, len(state) - len(survey.outcomes)
     # targets that were added after the last plan are not assigned
     code = np.pad(survey.outcomes["outcome"], (0, n_added), constant_values=Outcome.IN_REACH_NOT_ASSIGNED)
-    impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH, Outcome.EXCLUDED_BY_A_CONSTRAINT))
-    lost = code == Outcome.LOST_TO_A_COLLISION
+    by_reason = {OUTCOMES[outcome]: not_planned * (code == outcome) for outcome in (LOST, *IMPOSSIBLE)}
+    impossible, lost = np.isin(code, IMPOSSIBLE), code == LOST
     values = {
         "n_targets": wanted > 0,
         "n_complete": (wanted > 0) & (left == 0),
@@ -136,7 +140,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     expired = np.zeros_like(wanted)
     if state.limits is not None:
         expired[state.limits.row] = state.limits.expired
-        values["n_expired"] = expired
+        values["n_expired"] = by_reason["expired"] = expired
     classes, counts = classes_by_column(columns["priority"], columns["category"], wanted + expired), {}
     for column, (class_of, names) in classes.items():
         numbers = [np.bincount(class_of, weights=counted, minlength=len(names)) for counted in values.values()]
@@ -150,6 +154,10 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         "areas": _areas(state.catalog, values),
         "progress": progress,
         "failures": _failures(state),
+        "reasons": [
+            {"reason": reason, "n_targets": int((visits > 0).sum()), "n_visits": int(visits.sum())}
+            for reason, visits in by_reason.items()
+        ],
         "generation": read_request(state.folder).get("generation", 1),
         "is_planned": bool(is_planned),
         "events": state.record,
@@ -225,9 +233,7 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     names = dict.fromkeys([*WORDS.values(), *([] if state.cadences is None else [PAST])], 0)
     counts = {number: {"pass": number, **names} for number in sorted({*passes.values()})}
     for row, number in passes.items():
-        last, is_bad = state.states.state_of(row).state, bool(state.states.of(row))
-        name = PAST if row in past else "bad" if last == TileState.PLANNED and is_bad else WORDS[last]
-        counts[number][name] += 1
+        counts[number][PAST if row in past else state.states.word_of(row)] += 1
     return [*counts.values()]
 
 
