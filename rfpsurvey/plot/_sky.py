@@ -198,17 +198,16 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
 
 def draw_states(tiles: Tiling, radius: float) -> Axes:
     """Return a map of tiles that are colored by their column ``state``; the radius of a field is in degrees."""
-    names, states = [*STATE_COLORS], tiles.table["state"].tolist()
-    table = tiles.table.copy()
+    table, states = tiles.table.copy(), tiles.table["state"].tolist()
+    names = [name for name in STATE_COLORS if name in states]
     table["code"] = [names.index(state) for state in states]
-    look = {"cmap": ListedColormap([*STATE_COLORS.values()]), "alpha": None}
+    look = {"cmap": ListedColormap([STATE_COLORS[name] for name in names]), "alpha": None}
     look["norm"] = BoundaryNorm(np.arange(-0.5, len(names)), len(names))
     ax = plot_tiling(Tiling(table), color="code", radius=radius * u.deg, **look)
-    if ax.child_axes:  # there are several states
-        ax.child_axes[-1].set_yticks(range(len(names)), labels=names)
-        ax.child_axes[-1].set_ylabel("state")
-    else:
-        ax.set_title(f"all tiles: {states[0]}", fontsize="small")
+    for scale in ax.child_axes:  # there are several states
+        scale.set_yticks(range(len(names)), labels=names)
+        scale.set_ylabel("")
+    ax.set_title("" if ax.child_axes else f"all tiles: {names[0]}")
     return ax
 
 

@@ -6,7 +6,7 @@ from itertools import chain
 
 import astropy.units as u
 import numpy as np
-from astropy.table import QTable, Table
+from astropy.table import MaskedColumn, QTable, Table
 
 from rfpsurvey._field.facts import versions
 from rfpsurvey._survey.columns import PAST
@@ -17,7 +17,7 @@ from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.status import status_facts, survey_status
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
-from rfpsurvey.errors import number_of
+from rfpsurvey.errors import listed, number_of
 from rfpsurvey.plot import draw_states, plot_survey_status
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, pack, text_of
 from rfpsurvey.report._html import deflated
@@ -95,7 +95,12 @@ def page_of_state(state: SurveyState, where: str, before: "Survey | Table | str 
         changes = diff_generations(survey, state)
     else:
         changes = before if isinstance(before, Table) else diff_surveys(before, survey)
-    page.sections.insert(1, Section("Nights and tiles", [status_view(history, changes)]))
+    blocks = [status_view(history, changes)]
+    if unknown := changes.meta.get("unknown"):
+        blocks.append(
+            Text(f"Changed fibers are not known where no earlier plan was kept: tiles {listed(unknown, 20)}.")
+        )
+    page.sections.insert(1, Section("Nights and tiles", blocks))
     return page
 
 
@@ -107,7 +112,6 @@ def status_view(history: History, changes: Table) -> View:
     changed = grouped((tile, change) for tile, *change in rows if change[0])
     fibers = _fibers(history, changed, names)
     tiles = tiles_of(history, changed, fibers.pop("generation"))
-    nowhere = [np.nan] * (len(names) - n_placed)
     places = np.zeros((0, 2)) if plane is None else plane.xy.to_value(u.mm)
     outer = 1.0 if plane is None else np.max(plane.arrays.outer_radius)
     radius = history.survey.provenance["parameters"]["radius_deg"]
@@ -116,13 +120,12 @@ def status_view(history: History, changes: Table) -> View:
         "nights": history.nights,
         "names": list(STATES),
         "plan": f"generation {changes.meta['generation']}" if "generation" in changes.meta else "the other plan",
-        "unknown": len(changes.meta.get("unknown", ())),
         "states": [[[night, STATES.index(word)] for night, word in own] for own in history.states.values()],
         "attempts": [
             [number[e.row], history.night(e.date), STATES.index(WORDS[e.state])] for e in history.state.attempts
         ],
         "failures": [
-            [number[row], night, names[name], text_of(reason) or "no reason given"]
+            [number[row], night, names.setdefault(name, len(names)), text_of(reason) or "no reason given"]
             for row, night, name, reason in history.failures
         ],
         "classes": [[column, text_of(name), n, seen.tolist()] for (column, name), (n, seen) in history.classes.items()],
@@ -130,6 +133,7 @@ def status_view(history: History, changes: Table) -> View:
         "positioner": {"id": [text_of(name) for name in names], "outer": float(outer)},
         **fibers,
     }
+    nowhere = [np.nan] * (len(names) - n_placed)
     data["positioner"] |= {axis: pack([*places[:, k].tolist(), *nowhere], MM) for k, axis in enumerate("xy")}
     words = "The color of a field shows its state after the last night. East is to the left."
     still = [
@@ -147,16 +151,17 @@ def tiles_of(history: History, changed: dict, generations: dict) -> QTable:
         past, reasons = history.attempts.get(row, []), failures.get(row, [])
         dates = [f"{event.date or 'no date'} {WORDS[event.state]} {event.fraction:g}" for event in past]
         counts = (_counts(reasons), _counts(reason for *_, reason in changed.get(name, ())))
-        numbers = len(reasons), len(changed.get(name, ())), generations.get(row, 0)
+        numbers = len(reasons), len(changed.get(name, ())), generations.get(row)
         fraction = past[-1].fraction if past else np.nan
         state = history.states[row][-1][1]
         rows.append((name, ra, dec, angle, int(number), state, ", ".join(dates), fraction, *numbers, *counts))
     names = ("tile", "ra", "dec", "position_angle", "pass", "state", "observations", "fraction")
     names += ("n_failed", "n_changed", "generation", "failures", "changes")
-    table = QTable(rows=rows, names=names)
-    for name in names[1:4]:
-        table[name].unit = u.deg
-    return QTable(table)
+    columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
+    columns |= {name: columns[name] * u.deg for name in names[1:4]}
+    mask = [number is None for number in columns["generation"]]
+    columns["generation"] = MaskedColumn([number or 0 for number in columns["generation"]], mask=mask)
+    return QTable(columns)
 
 
 def _counts(reasons) -> str:

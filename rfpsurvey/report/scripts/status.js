@@ -53,7 +53,7 @@ class StatusView extends SkyMapView {
     this.bin = this.codes.map((own) => own.reduce((last, [night, code]) => (night <= this.night ? code : last), 0));
     const counts = this.words.map((_, code) => this.bin.filter((bin) => bin === code).length);
     const date = this.nights[this.night - 1];
-    this.nightText.textContent = date ? `Night ${this.night} of ${this.nights.length}: ${date}` : "Before the first night";
+    this.nightText.textContent = date ? `Night ${this.night} of ${this.nights.length}: ${date}` : this.nights.length ? "Before the first night" : "No night has a date";
     this.slider.setAttribute("aria-valuetext", this.nightText.textContent);
     this.count.textContent = `${counts[this.words.indexOf("observed")]} of ${plural(this.n, "tile")} observed.`;
     fillLegend(this.legend, this.words.map((word, k) => [`${word} (${counts[k]})`, `var(--${TILE_STATES[word][0]})`, TILE_STATES[word][1]])
@@ -140,6 +140,8 @@ class StatusView extends SkyMapView {
     this.marked = this.days[this.night] ?? null;
     this.marked?.setAttribute("aria-current", "date");
     this.marked?.setAttribute("tabindex", 0);
+    const [top, box] = [this.marked?.offsetTop ?? 0, this.marked?.closest(".calendar")];
+    if (box && (top < box.scrollTop || top > box.scrollTop + box.clientHeight - 40)) box.scrollTop = top - box.clientHeight / 2;
     const x = this.place(this.night);
     for (const name of ["x1", "x2"]) this.cursor.setAttribute(name, x);
     this.values.forEach((cell, k) => {
