@@ -301,7 +301,7 @@ def diff(
     _app.check_outputs(outputs)
     table = diff_surveys(first, second)
     state = None if report is None else state_in(second, tell=_print.print_text)
-    with _print.files(outputs, write=partial(write_table, table), report=(state, {"before": table})):
+    with _print.files(outputs, write=partial(write_table, table), report=(state, {"changes": table})):
         _print_differences(table, first, second)
 
 

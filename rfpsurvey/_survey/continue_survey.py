@@ -10,13 +10,12 @@ from pathlib import Path
 from astropy.time import Time
 
 from rfpsurvey._common.files import to_path
-from rfpsurvey._common.read_documents import is_present
 from rfpsurvey._instruments.instrument import Instrument
 from rfpsurvey._instruments.states import instruments_at
 from rfpsurvey._survey import key_objects
 from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.plan import plan_survey, prepare_request
-from rfpsurvey._survey.plan_file import call_of, keys_in, model_in
+from rfpsurvey._survey.plan_file import call_of, keys_in
 from rfpsurvey._survey.request import Request
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -99,12 +98,6 @@ def instruments_in(folder: Path, times: Time) -> list[Instrument]:
     """Return the instrument of the survey in a folder, with the states of its positioners at each of several times."""
     keys = keys_in(folder, {"allocator", "tiles", "visits", "rule"})
     return instruments_at(key_objects.model_of(keys.instrument, lambda: times), times)
-
-
-def instrument_in(folder: Path) -> Instrument | None:
-    """Return the instrument of the survey in a folder at any time; None if there is no plan file that describes it."""
-    is_known = is_present(folder / key_objects.RECORD)
-    return model_in(keys_in(folder, {"allocator", "instrument", "tiles", "visits", "rule"})) if is_known else None
 
 
 def groups_in(folder: Path, column: str) -> dict[str, str]:

@@ -194,7 +194,7 @@ def state_in(folder: Path, *, tell: Callable[[str], None] = no_output, **given: 
     keys = keys_in(folder, {"allocator", "instrument", "tiles", *given})
     catalog = given.pop("catalog", None)
     if catalog is None:
-        catalog = targets_of(keys, model_in(keys), tell=tell)
+        catalog = targets_of(keys, _model_in(keys), tell=tell)
     rule = given.pop("rule") if "rule" in given else VisitRule(**keys.rule)
     visits = given.pop("visits") if "visits" in given else _requested(keys)
     tiling = partial(key_objects.tiling_of, keys)  # only some states require the tiles
@@ -202,7 +202,7 @@ def state_in(folder: Path, *, tell: Callable[[str], None] = no_output, **given: 
     return SurveyState.read(folder, catalog, rule=rule, visits=visits, tiles=tiles, **given)
 
 
-def model_in(keys: SurveyKeys) -> Instrument | None:
+def _model_in(keys: SurveyKeys) -> Instrument | None:
     """Return the instrument that is required to read the catalog of a survey; None if no key describes it."""
     if "instrument" in (keys.python or ()):
         return None

@@ -1,16 +1,14 @@
 """The report pages of the status of a survey, and of its state with all nights."""
 
-import os
 from collections import Counter
-from itertools import chain
 
 import astropy.units as u
 import numpy as np
-from astropy.table import MaskedColumn, QTable, Table
+from astropy.table import QTable, Table
 
 from rfpsurvey._field.facts import versions
 from rfpsurvey._survey.columns import PAST
-from rfpsurvey._survey.history.diff import DIFF, OTHER, REASONS, diff_generations, diff_surveys
+from rfpsurvey._survey.history.diff import DIFF, OTHER, REASONS, diff_generations
 from rfpsurvey._survey.history.events import WORDS, grouped
 from rfpsurvey._survey.history.nights import NO_TARGET, History, codes_of
 from rfpsurvey._survey.history.state import SurveyState
@@ -84,27 +82,19 @@ MOST_CHARACTERS = 1_500_000
 """Largest length of all identifiers of targets on a page; those of changed tiles are the first."""
 
 
-def page_of_state(state: SurveyState, where: str, before: "Survey | Table | str | os.PathLike | None" = None) -> Page:
-    """Return a page on all nights of a survey; changed fibers are those that differ from the plan ``before``.
-
-    The latter can also be the table of the differences.
-    """
+def page_of_state(state: SurveyState, where: str, changes: Table | None = None) -> Page:
+    """Return a page on all nights of a survey; by default, the last plan of the rest determines the changed fibers."""
     survey = Survey.read(state.folder)
-    page, history = page_of_status(survey_status(survey, state), where), History(survey, state)
-    if before is None:
-        changes = diff_generations(survey, state)
-    else:
-        changes = before if isinstance(before, Table) else diff_surveys(before, survey)
-    blocks = [status_view(history, changes)]
+    status = survey_status(survey, state)
+    changes = diff_generations(survey, state) if changes is None else changes
+    page, blocks = page_of_status(status, where), [status_view(History(survey, state), status, changes)]
     if unknown := changes.meta.get("unknown"):
-        blocks.append(
-            Text(f"Changed fibers are not known where no earlier plan was kept: tiles {listed(unknown, 20)}.")
-        )
+        blocks.append(Text(f"Changed fibers of tiles without an earlier plan are not known: {listed(unknown, 20)}."))
     page.sections.insert(1, Section("Nights and tiles", blocks))
     return page
 
 
-def status_view(history: History, changes: Table) -> View:
+def status_view(history: History, status: Table, changes: Table) -> View:
     """Return the interactive view of the nights, the tiles and the fibers of a survey."""
     plane, number = history.plane, {row: k for k, row in enumerate(history.tiles)}
     names = {} if plane is None else {name: k for k, name in enumerate(plane.id.astype(str).tolist())}
@@ -112,56 +102,58 @@ def status_view(history: History, changes: Table) -> View:
     changed = grouped((tile, change) for tile, *change in rows if change[0])
     fibers = _fibers(history, changed, names)
     tiles = tiles_of(history, changed, fibers.pop("generation"))
-    places = np.zeros((0, 2)) if plane is None else plane.xy.to_value(u.mm)
-    outer = 1.0 if plane is None else np.max(plane.arrays.outer_radius)
-    radius = history.survey.provenance["parameters"]["radius_deg"]
-    data = sky_view(tiles, radius, []).data | {
+    attempts, failures = history.state.attempts, history.failures
+    data = sky_view(tiles, history.survey.provenance["parameters"]["radius_deg"], []).data | {
         "columns": {LABELS.get(name, name): pack(tiles[name]) for name in tiles.colnames if name not in ("ra", "dec")},
         "nights": history.nights,
         "names": list(STATES),
         "plan": f"generation {changes.meta['generation']}" if "generation" in changes.meta else "the other plan",
         "states": [[[night, STATES.index(word)] for night, word in own] for own in history.states.values()],
-        "attempts": [
-            [number[e.row], history.night(e.date), STATES.index(WORDS[e.state])] for e in history.state.attempts
-        ],
-        "failures": [
-            [number[row], night, names.setdefault(name, len(names)), text_of(reason) or "no reason given"]
-            for row, night, name, reason in history.failures
-        ],
-        "classes": [[column, text_of(name), n, seen.tolist()] for (column, name), (n, seen) in history.classes.items()],
+        "attempts": [[number[e.row], history.night(e.date), STATES.index(WORDS[e.state])] for e in attempts],
+        "failures": [[number[k], n, names.setdefault(i, len(names)), text_of(why)] for k, n, i, why in failures],
+        "classes": _classes(history.nights, status),
         "reasons": [*REASONS, OTHER],
-        "positioner": {"id": [text_of(name) for name in names], "outer": float(outer)},
+        "positioner": {"id": [text_of(name) for name in names]},
         **fibers,
     }
-    nowhere = [np.nan] * (len(names) - n_placed)
-    data["positioner"] |= {axis: pack([*places[:, k].tolist(), *nowhere], MM) for k, axis in enumerate("xy")}
+    places = np.full((2, len(names)), np.nan)
+    if plane is not None:
+        places[:, :n_placed] = plane.xy.to_value(u.mm).T
+    data["positioner"] |= {axis: pack(values, MM) for axis, values in zip("xy", places, strict=True)}
+    data["positioner"]["outer"] = 1.0 if plane is None else float(np.max(plane.arrays.outer_radius))
     words = "The color of a field shows its state after the last night. East is to the left."
     still = [
-        Picture("The tiles on the sky.", draw_states(Tiling(tiles), radius), words),
+        Picture("The tiles on the sky.", draw_states(Tiling(tiles), data["radius"]), words),
         Rows("The tiles of the survey.", tiles, "rfpsurvey.survey.SurveyState"),
         Text("The calendar and the focal planes of tiles require a browser that runs scripts."),
     ]
     return View("status", "Nights and tiles", deflated(data), still)
 
 
+def _classes(nights: list[str], status: Table) -> list[list]:
+    """Return the column, the name, the requested visits, and the visits up to each night of each class of targets."""
+    progress, total = status.meta["progress"], status["n_requested"].tolist()
+    place = np.searchsorted(np.array(progress["date"], dtype=str), ["", *nights], side="right")
+    series = [("priority", *one) for one in progress["n_observed"].items()]
+    series += [("category", *one) for one in progress["categories"].items()]
+    return [  # the rows of the table are in the same order
+        [column, text_of(name), n, np.append(0, seen).astype(int)[place].tolist()]
+        for (column, name, seen), n in zip(series, total, strict=True)
+    ]
+
+
 def tiles_of(history: History, changed: dict, generations: dict) -> QTable:
     """Return a table with the state, the observations, the failed visits and the changed fibers of each tile."""
     rows, failures = [], grouped((row, reason) for row, _, _, reason in history.failures)
-    for row, (name, (ra, dec, angle, number)) in history.tiles.items():
-        past, reasons = history.attempts.get(row, []), failures.get(row, [])
-        dates = [f"{event.date or 'no date'} {WORDS[event.state]} {event.fraction:g}" for event in past]
-        counts = (_counts(reasons), _counts(reason for *_, reason in changed.get(name, ())))
-        numbers = len(reasons), len(changed.get(name, ())), generations.get(row)
-        fraction = past[-1].fraction if past else np.nan
-        state = history.states[row][-1][1]
-        rows.append((name, ra, dec, angle, int(number), state, ", ".join(dates), fraction, *numbers, *counts))
+    for row, (name, (*place, number)) in history.tiles.items():
+        past, reasons, own = history.attempts.get(row, []), failures.get(row, []), changed.get(name, [])
+        dates = ", ".join(f"{event.date or 'no date'} {WORDS[event.state]} {event.fraction:g}" for event in past)
+        numbers = past[-1].fraction if past else np.nan, len(reasons), len(own), generations.get(row, np.ma.masked)
+        texts = _counts(reasons), _counts(reason for *_, reason in own)
+        rows.append((name, *place, int(number), history.states[row][-1][1], dates, *numbers, *texts))
     names = ("tile", "ra", "dec", "position_angle", "pass", "state", "observations", "fraction")
     names += ("n_failed", "n_changed", "generation", "failures", "changes")
-    columns = dict(zip(names, map(list, zip(*rows, strict=True)), strict=True))
-    columns |= {name: columns[name] * u.deg for name in names[1:4]}
-    mask = [number is None for number in columns["generation"]]
-    columns["generation"] = MaskedColumn([number or 0 for number in columns["generation"]], mask=mask)
-    return QTable(columns)
+    return QTable(rows=rows, names=names, units=dict.fromkeys(names[1:4], u.deg))
 
 
 def _counts(reasons) -> str:
@@ -176,7 +168,6 @@ def _fibers(history: History, changed: dict, names: dict[str, int]) -> dict:
     ``CODES``. ``targets`` and ``former`` are the identifiers of the targets of fibers that have one, and of the former
     targets of changed fibers; they are None for tiles without a plan, and after the first ``MOST_CHARACTERS``.
     """
-    kinds = {(True, True): 0, (True, False): 1, (False, True): 2, (False, False): 0}
     plans, reasons = {}, [*REASONS, OTHER]
     found = {"fibers": [], "changes": [], "targets": [], "former": [], "generation": {}}
     for row, visits, cards in history.fibers():
@@ -184,16 +175,14 @@ def _fibers(history: History, changed: dict, names: dict[str, int]) -> dict:
         order = np.argsort(places)
         plans[row] = np.array(places)[order], codes_of(visits)[order], visits["target_id"].astype(str)[order]
         found["generation"][row] = cards.get("GENER", 1)
-    for positioner, *_ in chain(*changed.values()):
-        names.setdefault(positioner, len(names))
     letters, former = np.frombuffer(CODES.encode(), np.uint8), {}
     for row, (name, _) in history.tiles.items():
-        own = sorted((names[positioner], *change) for positioner, *change in changed.get(name, ()))
+        own = sorted((names.setdefault(one, len(names)), *change) for one, *change in changed.get(name, ()))
         codes, changes = np.full((2, len(names)), NO_TARGET)
         if row in plans:
             codes[plans[row][0]] = plans[row][1]
         for k, before, after, reason in own:
-            changes[k] = 1 + 3 * reasons.index(reason) + kinds[bool(before), bool(after)]
+            changes[k] = 1 + 3 * reasons.index(reason) + (0 if before and after else 1 if before else 2)
         former[row] = [text_of(before) for _, before, *_ in own]
         for key, values in (("fibers", codes), ("changes", changes)):
             found[key].append(letters[values].tobytes().decode() if values.any() else "")

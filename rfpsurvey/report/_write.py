@@ -227,7 +227,7 @@ def write_report(
     max_rows: int | None = None,
     plans: Mapping[str, Tile] | None = None,
     paths: "Paths | bool | None" = None,
-    before: "Survey | Table | str | os.PathLike | None" = None,
+    changes: Table | None = None,
 ) -> None:
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
@@ -262,10 +262,10 @@ def write_report(
     paths : Paths or bool, optional
         For a report on a `Tile`, paths of the arms to the poses of the tile, such as those of `Tile.paths`. The view of
         the focal plane then shows the motion of the arms. If ``paths`` is True, `Tile.paths` plans them.
-    before : Survey, path-like or Table, optional
-        For a report on a state, another plan of the survey, its folder, or the table of `rfpsurvey.survey.diff_surveys`
-        for this plan and that of the state; the page then shows the fibers that differ. By default, the page shows the
-        fibers that the last plan of the rest changed.
+    changes : QTable, optional
+        For a report on a state, the differences of another plan and the plan of the survey
+        (`rfpsurvey.survey.diff_surveys`), which the page shows. By default, the page shows the fibers that the last
+        plan of the rest changed.
 
     Raises
     ------
@@ -273,8 +273,8 @@ def write_report(
         If there is no page for this type of result, if the path does not end in ``.html`` or ``.htm``, if the file
         exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, if
         ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`, if ``paths``
-        are given although the result is no `Tile`, or do not lead to the poses of this tile, or if ``before`` is given
-        although the result is no state of a survey.
+        are given although the result is no `Tile`, or do not lead to the poses of this tile, or if ``changes`` are
+        given although the result is no state of a survey, or are another table.
 
     Examples
     --------
@@ -297,10 +297,14 @@ def write_report(
         raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
     options = {} if (paths := check_paths(result, paths)) is None else {"paths": paths}
-    if before is not None:
-        if not isinstance(result, SurveyState):
-            raise InputError(f"before must be given only for the state of a survey, got it for {short(result)}")
-        options["before"] = before
+    if changes is not None:
+        made_by = changes.meta.get("made_by") if isinstance(changes, Table) else None
+        if not isinstance(result, SurveyState) or made_by != "diff_surveys":
+            raise InputError(
+                "changes must be the table of diff_surveys, for the state of a survey, got "
+                f"{short(changes)} for {short(result)}"
+            )
+        options["changes"] = changes
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows, options)
     if title is not None:
         page = replace(page, title=str(title))  # subclasses of str can declare that they are safe HTML

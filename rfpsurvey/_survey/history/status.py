@@ -82,12 +82,12 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
         ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). If targets are wanted on a
         single tile or until a date, ``n_expired`` is the number of visits that are no longer requested, because no tile
-        that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles``
-        (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
-        ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
-        each date), ``failures`` (positioners whose visits failed in several tiles), ``reasons`` (numbers of targets and
-        visits that are lost, impossible or expired, by reason), and ``is_planned``, which states whether the last plan
-        takes all events into account.
+        that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles`` (numbers of
+        tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right ascension and
+        declination, for catalogs in memory), ``progress`` (numbers of observed tiles, and of the visits in
+        ``n_observed`` by priority and category, up to each date), ``failures`` (positioners whose visits failed in
+        several tiles), ``reasons`` (numbers of targets and visits that are lost, impossible or expired, by reason), and
+        ``is_planned``, which states whether the last plan takes all events into account.
 
     Raises
     ------
@@ -146,13 +146,12 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         numbers = [np.bincount(class_of, weights=counted, minlength=len(names)) for counted in values.values()]
         counts[column] = names, np.column_stack(numbers).astype(np.int64)
     table = QTable(rows=rows_by_class(counts), names=(*classes, *values))
-    progress = _progress(state, *classes["priority"])
     table.meta = {
         "made_by": "survey_status",
         "instrument": survey.provenance["instrument"]["name"],
         "tiles": _tiles(survey, state),
         "areas": _areas(state.catalog, values),
-        "progress": progress,
+        "progress": _progress(state, classes, observed),
         "failures": _failures(state),
         "reasons": [
             {"reason": reason, "n_targets": int((visits > 0).sum()), "n_visits": int(visits.sum())}
@@ -237,19 +236,30 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     return [*counts.values()]
 
 
-def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:
-    """Return the numbers of observed tiles, and of visits by priority, up to each date."""
+def _progress(state: SurveyState, classes: dict, observed: np.ndarray) -> dict:
+    """Return the numbers of observed tiles, and of visits of each class, up to each date.
+
+    Of each target, as many visits are counted as its number ``observed``, the first ones.
+    """
     done = sorted((event for event in state.attempts if event.state == TileState.DONE), key=lambda event: event.date)
     dates = list(dict.fromkeys(event.date for event in done))
-    tiles, visits = np.zeros(len(dates), dtype=np.int64), np.zeros((len(dates), len(names)), dtype=np.int64)
+    tiles, made = np.zeros(len(dates), dtype=np.int64), np.zeros(len(observed), dtype=np.int64)
+    visits = {column: np.zeros((len(dates), len(names)), dtype=np.int64) for column, (_, names) in classes.items()}
     for event in done:
         target, good, _ = visits_of(event, state.events.observed(event)[0])
         tiles[dates.index(event.date)] += 1
-        visits[dates.index(event.date)] += np.bincount(class_of[target[good]], minlength=len(names))
-    visits = visits.cumsum(axis=0)
-    by_class = dict(zip(names, visits.T.tolist(), strict=True)) if len(names) > 1 else {}
+        made[target[good]] += 1
+        counted = target[good & (made[target] <= observed[target])]
+        for column, (class_of, names) in classes.items():
+            visits[column][dates.index(event.date)] += np.bincount(class_of[counted], minlength=len(names))
+    by_class = {
+        column: dict(zip(names, visits[column].cumsum(axis=0).T.tolist(), strict=True)) if len(names) > 1 else {}
+        for column, (_, names) in classes.items()
+    }
+    total = visits["priority"].sum(axis=1).cumsum().tolist()
     return {
         "date": dates,
         "n_tiles": tiles.cumsum().tolist(),
-        "n_observed": {"all": visits.sum(axis=1).tolist(), **by_class},
+        "n_observed": {"all": total, **by_class["priority"]},
+        "categories": by_class.get("category", {}),
     }

@@ -167,7 +167,7 @@ class StatusView extends SkyMapView {
     const plot = svg("svg", { viewBox: "0 0 100 100", preserveAspectRatio: "none", class: "curve", role: "img", "aria-label": "Completeness of each class after each night" });
     const xs = [0, ...this.nights.map((_, k) => this.place(k + 1))];
     for (const y of [0, 25, 50, 75, 100]) plot.append(svg("line", { x1: 0, x2: 100, y1: y, y2: y, stroke: "var(--faint)" }));
-    const named = ([column, name]) => (column === "all" ? "all targets" : `${column} ${name}`);
+    const named = ([column, name], k) => (k ? `${column} ${name}` : "all targets");
     const key = (k) => ({ stroke: `var(--${LINES[k % LINES.length]})`, "stroke-dasharray": DASHES[k % DASHES.length], "stroke-width": k ? 1.5 : 2.5 });
     classes.forEach(([, , n, seen], k) => {
       const at = (night) => 100 - 100 * seen[night] / (n || 1);
@@ -183,7 +183,7 @@ class StatusView extends SkyMapView {
     const rows = classes.map((one, k) => {
       const line = svg("svg", { viewBox: "0 0 30 6", class: "key", "aria-hidden": "true" });
       line.append(svg("line", { x1: 0, x2: 30, y1: 3, y2: 3, ...key(k) }));
-      return make("tr", {}, make("th", { scope: "row" }, line, named(one)), this.values[k]);
+      return make("tr", {}, make("th", { scope: "row" }, line, named(one, k)), this.values[k]);
     });
     const [first, last] = [this.nights[0] ?? "", this.nights.at(-1) ?? ""];
     this.curves.append(make("div", { class: "panes" },
@@ -351,7 +351,7 @@ class FiberMap extends FocalPlaneDrawing {
   where(x, y) { return `x ${fixed(x, 2)}, y ${fixed(y, 2)} mm`; }
 
   card(i, long = false) {
-    const own = this.failed[i].map(([tile, night, , reason]) => `${this.owner.nights[night - 1] ?? "no date"}, tile ${this.owner.name[tile]}: ${reason}`);
+    const own = this.failed[i].map(([tile, night, , reason]) => `${this.owner.nights[night - 1] ?? "no date"}, tile ${this.owner.name[tile]}: ${reason || "no reason given"}`);
     const most = long ? 30 : 4;
     const entries = this.tile < 0 ? [] : [["Fiber", STATES[FIBERS[this.codes[i]]][0]], ["Target", this.targets[i]],
       ...(this.changes[i] ? [["Former target", this.former[i]], ["Reason of the change", this.reason(i)]] : [])];
