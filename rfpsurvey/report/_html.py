@@ -245,7 +245,7 @@ def _asset(name: str) -> str:
 
 def deflated(data: dict) -> dict:
     """Return the data of a large view as a dict with compressed JSON, which the script of the page expands."""
-    return {"deflated": base64.b64encode(zlib.compress(json_of(data).encode(), 9)).decode()}
+    return {"deflated": base64.b64encode(zlib.compress(json_of(data).encode())).decode()}
 
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:

@@ -99,7 +99,7 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         earlier.see(rows[0]), later.see(rows[1])
     for name, rows in compared:
         changes[name].append(_fibers(name, earlier, rows[0], later, rows[1]))
-    table = _table([part for parts in changes.values() for part in parts])
+    table = _table([part for parts in changes.values() for part in parts], earlier, later)
     table.meta = {
         "made_by": "diff_surveys",
         "n_tiles": [len(earlier.row_of), len(later.row_of)],
@@ -117,7 +117,7 @@ def diff_generations(survey: Survey, state: SurveyState) -> QTable:
     """
     folder, later = survey.folder, _Side(survey, "second")
     generations, plans = generations_of(folder, read_request(folder)), read_plans(folder)
-    number, parts, unknown, replaced = generations[-1].number, [], [], {}
+    number, parts, unknown, replaced, former = generations[-1].number, [], [], {}, later
     for name, row in later.row_of.items() if len(generations) > 1 else ():
         of_tile = plans.get(part_name(row), [])
         if later.survey._states[row] in NOT_PLANNED or of_tile[-1:] != [(later.digest(row), number)]:
@@ -137,14 +137,20 @@ def diff_generations(survey: Survey, state: SurveyState) -> QTable:
             former.see(row), later.see(row)
         names = {row: name for name, row in later.row_of.items()}
         parts = [_fibers(names[row], former, row, later, row) for row in replaced]
-    table = _table([_changes("", []), *parts])
+    table = _table([_changes("", []), *parts], former, later)
     table.meta = {"made_by": "diff_generations", "generation": number, "unknown": unknown}
     return table
 
 
-def _table(parts: list[list[np.ndarray]]) -> QTable:
-    """Return the table of parts, which contain arrays for all columns."""
-    return describe(QTable(dict(zip(DIFF, map(np.concatenate, zip(*parts, strict=True)), strict=True))), DIFF)
+def _table(parts: list[list[np.ndarray]], earlier: "_Side", later: "_Side") -> QTable:
+    """Return the table of parts (see `_changes` and `_fibers`), with the reasons of all changes of fibers."""
+    *columns, before, after = map(np.concatenate, zip(*parts, strict=True))
+    table, fiber = QTable(dict(zip(DIFF, columns, strict=True))), columns[1] != ""
+    reasons = columns[-1].astype(f"U{max(map(len, (*REASONS, *STATES.values())))}")
+    if fiber.any():
+        reasons[fiber] = _reasons(earlier, later, before[fiber], after[fiber])
+    table["reason"] = reasons
+    return describe(table, DIFF)
 
 
 class _Side:
@@ -213,13 +219,17 @@ class _Former(_Side):
 
 
 def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
-    """Return the columns of rows on changes of a whole tile."""
+    """Return the columns of rows on changes of a whole tile, and rows of targets as for `_fibers`."""
     n = len(reasons)
-    return [np.full(n, name), *(np.full(n, "") for _ in range(3)), np.array(reasons, dtype=str)]
+    nothing, targets = (np.full(n, value) for value in ("", NO_TARGET))
+    return [np.full(n, name), nothing, nothing, nothing, np.array(reasons, dtype=str), targets, targets]
 
 
 def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -> list[np.ndarray]:
-    """Return the columns of rows on the fibers of a tile that have another target."""
+    """Return the columns of rows on the fibers of a tile that have another target, and the rows of both targets.
+
+    The reasons are empty.
+    """
     visits = earlier.visits(row), later.visits(later_row)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
@@ -233,8 +243,9 @@ def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -
         ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
     changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
     before, after = (target[changed] for target in targets)
-    reasons = _reasons(earlier, later, before, after)
-    return [np.full(len(before), name), positioners[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
+    n = len(before)
+    values = positioners[changed].astype(str), ids[0][changed], ids[1][changed]
+    return [np.full(n, name), *values, np.full(n, ""), before, after]
 
 
 def _reasons(earlier: _Side, later: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:
