@@ -10,6 +10,7 @@ import pytest
 import rfpsurvey as rs
 from pages import Reader
 from rfpsurvey._survey.history.diff import diff_generations
+from rfpsurvey._survey.history.nights import codes_of
 
 VIEW = "document.querySelector('.view').view"
 # the content security policy of pages forbids Page.wait_for_function
@@ -23,13 +24,13 @@ STATES = "planned", "observed", "partly observed", "bad", "dropped"
 def plans(tmp_path_factory):
     """Return a survey with late reports, corrections and two plans, and a copy of its folder before the second plan."""
     place = tmp_path_factory.mktemp("living")
-    sky, unit = living.targets(kinds=True, n=400, radius=0.6), living.instrument()
-    plane = rs.FocalPlane.hexagonal(unit.focal_plane.positioner, rings=2, pitch=25.6 * u.mm)
+    sky, unit = living.targets(kinds=True, n=300, radius=0.6), living.instrument()
+    plane = rs.FocalPlane.hexagonal(unit.focal_plane.positioner, rings=2, pitch=18 * u.mm)
     instrument = rs.Instrument("small", plane, plate_scale=unit.plate_scale)
     sky = rs.Catalog(sky.coord, id=sky.id, kind=sky.kind, priority=sky.priority, visits=sky.visits, category=sky.id % 2)
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("SOURCE_DATE_EPOCH", "1767225600")  # 2026-01-01
-        survey = rs.plan_survey(sky, instrument, living.tiling(n=10), folder=place / "plan")
+        survey = rs.plan_survey(sky, instrument, living.tiling(n=10), allocator="nearest", folder=place / "plan")
 
         def record(**columns):
             survey.record(living.events(**columns))
@@ -38,6 +39,10 @@ def plans(tmp_path_factory):
         record(tile=[11, 12, 13], date=DATES[0], state=["done", "partly", "bad"])
         record(tile=11, date=DATES[0], positioner=first[:2], reason=["off", ""])
         record(tile=[12, 14], date=DATES[1], state=["done", "dropped"])
+        record(target=survey.tile(19)["target_id"].tolist()[:5], state="dropped")
+        offsets = np.random.default_rng(1).uniform(-0.2, 0.2, (2, 60))
+        added = [20_000 + k for k in range(60)]
+        record(target=added, state="added", ra=(120 + offsets[0]).tolist(), dec=(30 + offsets[1]).tolist(), priority=9)
         before = shutil.copytree(survey.folder, place / "before")
         patch.setenv("SOURCE_DATE_EPOCH", "1767571200")  # 2026-01-05
         survey = survey.replan()
@@ -75,7 +80,7 @@ def states_at(survey, night):
 
 
 def test_the_numbers_of_the_page_are_those_of_the_tables(page, plans):
-    survey, compared = plans[0], 0
+    survey, compared, used = plans[0], 0, set()
     data, state, last = page.evaluate(f"{VIEW}.data"), survey.state(), survey.status()
     names = page.evaluate(f"{VIEW}.name")
     assert data["nights"] == list(DATES)
@@ -107,11 +112,21 @@ def test_the_numbers_of_the_page_are_those_of_the_tables(page, plans):
         targets = dict(zip(visits["positioner"].astype(str), visits["target_id"].astype(str), strict=True))
         assert data["targets"][k] == [targets[fiber] for fiber in ids if fiber in targets]
         compared += len(codes) + len(targets)
+        used.update(codes)
     failed = {(names[tile], ids[fiber], reason) for tile, _, fiber, reason in data["failures"]}
     expected = {(e.tile, fiber, why) for e in state.attempts for fiber, why in e.failed.items()}
     assert failed == expected
     assert len(failed) == 3
     assert compared + len(failed) > 300
+    assert used == {0, 1, 4}
+
+
+def test_codes_of_fibers_state_the_first_kind_and_collisions():
+    kinds = ["science", "standard", "sky", "science+standard", "sky"]
+    visits = np.zeros(5, dtype=[("kind", "U16"), ("in_collision", "?")])
+    visits["kind"], visits["in_collision"] = kinds, [False, False, False, False, True]
+    assert codes_of(visits).tolist() == [1, 2, 3, 1, 4]
+    assert codes_of(visits[["in_collision"]]).tolist() == [1, 1, 1, 1, 4]
 
 
 def test_changed_fibers_are_the_differences_of_the_two_plans(page, plans):
@@ -134,6 +149,7 @@ def test_changed_fibers_are_the_differences_of_the_two_plans(page, plans):
     assert sorted(row[:5] for row in found) == sorted(rows)
     kinds = {(True, True): "other", (True, False): "first", (False, True): "second"}
     assert all(kinds[bool(row[2]), bool(row[3])] == row[5] for row in found)
+    assert {row[5] for row in found} == {*kinds.values()}
     assert data["plan"] == "generation 2"
 
 
