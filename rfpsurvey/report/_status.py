@@ -131,15 +131,13 @@ def status_view(history: History, status: Table, changes: Table) -> View:
 
 
 def _classes(nights: list[str], status: Table) -> list[list]:
-    """Return the column, the name, the requested visits, and the visits up to each night of each class of targets."""
-    progress, total = status.meta["progress"], status["n_requested"].tolist()
+    """Return the label, the requested visits, and the visits up to each night of each class of targets."""
+    progress, labels = status.meta["progress"], ["all targets"]
     place = np.searchsorted(np.array(progress["date"], dtype=str), ["", *nights], side="right")
-    series = [("priority", *one) for one in progress["n_observed"].items()]
-    series += [("category", *one) for one in progress["categories"].items()]
-    return [  # the rows of the table are in the same order
-        [column, text_of(name), n, np.append(0, seen).astype(int)[place].tolist()]
-        for (column, name, seen), n in zip(series, total, strict=True)
-    ]
+    for row in status[1:]:
+        labels.append(f"category {row['category']}" if row["priority"] == "all" else f"priority {row['priority']}")
+    seen = np.pad(np.array(progress["n_counted"], dtype=int), ((0, 0), (1, 0)))[:, place].tolist()
+    return [list(one) for one in zip(map(text_of, labels), status["n_requested"].tolist(), seen, strict=True)]
 
 
 def tiles_of(history: History, changed: dict, generations: dict) -> QTable:

@@ -84,10 +84,11 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         single tile or until a date, ``n_expired`` is the number of visits that are no longer requested, because no tile
         that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles`` (numbers of
         tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right ascension and
-        declination, for catalogs in memory), ``progress`` (numbers of observed tiles, and of the visits in
-        ``n_observed`` by priority and category, up to each date), ``failures`` (positioners whose visits failed in
-        several tiles), ``reasons`` (numbers of targets and visits that are lost, impossible or expired, by reason), and
-        ``is_planned``, which states whether the last plan takes all events into account.
+        declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to each date;
+        ``n_counted`` contains, for each row of the table, the visits that its ``n_observed`` counts), ``failures``
+        (positioners whose visits failed in several tiles), ``reasons`` (numbers of targets and visits that are lost,
+        impossible or expired, by reason), and ``is_planned``, which states whether the last plan takes all events into
+        account.
 
     Raises
     ------
@@ -237,29 +238,29 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
 
 
 def _progress(state: SurveyState, classes: dict, observed: np.ndarray) -> dict:
-    """Return the numbers of observed tiles, and of visits of each class, up to each date.
+    """Return the numbers of observed tiles, of visits by priority, and of counted visits of each class, by date.
 
     Of each target, as many visits are counted as its number ``observed``, the first ones.
     """
     done = sorted((event for event in state.attempts if event.state == TileState.DONE), key=lambda event: event.date)
     dates = list(dict.fromkeys(event.date for event in done))
     tiles, made = np.zeros(len(dates), dtype=np.int64), np.zeros(len(observed), dtype=np.int64)
-    visits = {column: np.zeros((len(dates), len(names)), dtype=np.int64) for column, (_, names) in classes.items()}
+    labels = [*classes.values(), classes["priority"]]
+    visits = [np.zeros((len(dates), len(names)), dtype=np.int64) for _, names in labels]
     for event in done:
         target, good, _ = visits_of(event, state.events.observed(event)[0])
-        tiles[dates.index(event.date)] += 1
-        made[target[good]] += 1
-        counted = target[good & (made[target] <= observed[target])]
-        for column, (class_of, names) in classes.items():
-            visits[column][dates.index(event.date)] += np.bincount(class_of[counted], minlength=len(names))
-    by_class = {
-        column: dict(zip(names, visits[column].cumsum(axis=0).T.tolist(), strict=True)) if len(names) > 1 else {}
-        for column, (_, names) in classes.items()
-    }
-    total = visits["priority"].sum(axis=1).cumsum().tolist()
+        k, target = dates.index(event.date), target[good]
+        tiles[k] += 1
+        made[target] += 1
+        counted = [target[made[target] <= observed[target]]] * len(classes)
+        for numbers, rows, (class_of, names) in zip(visits, [*counted, target], labels, strict=True):
+            numbers[k] += np.bincount(class_of[rows], minlength=len(names))
+    *counted, numbers = visits
+    counted = [v.T for v, (_, names) in zip(counted, labels, strict=False) if len(names) > 1]
+    by_priority = zip(labels[-1][1], numbers.cumsum(axis=0).T.tolist(), strict=True) if len(numbers.T) > 1 else ()
     return {
         "date": dates,
         "n_tiles": tiles.cumsum().tolist(),
-        "n_observed": {"all": total, **by_class["priority"]},
-        "categories": by_class.get("category", {}),
+        "n_observed": {"all": numbers.sum(axis=1).cumsum().tolist(), **dict(by_priority)},
+        "n_counted": np.vstack([visits[0].sum(axis=1)[None], *counted]).cumsum(axis=1).tolist(),
     }

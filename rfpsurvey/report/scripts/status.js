@@ -145,7 +145,7 @@ class StatusView extends SkyMapView {
     const x = this.place(this.night);
     for (const name of ["x1", "x2"]) this.cursor.setAttribute(name, x);
     this.values.forEach((cell, k) => {
-      const [, , n, seen] = this.data.classes[k];
+      const [, n, seen] = this.data.classes[k];
       cell.textContent = `${seen[this.night]} of ${n} (${fixed(n ? seen[this.night] / n : NaN, 3)})`;
     });
   }
@@ -167,9 +167,8 @@ class StatusView extends SkyMapView {
     const plot = svg("svg", { viewBox: "0 0 100 100", preserveAspectRatio: "none", class: "curve", role: "img", "aria-label": "Completeness of each class after each night" });
     const xs = [0, ...this.nights.map((_, k) => this.place(k + 1))];
     for (const y of [0, 25, 50, 75, 100]) plot.append(svg("line", { x1: 0, x2: 100, y1: y, y2: y, stroke: "var(--faint)" }));
-    const named = ([column, name], k) => (k ? `${column} ${name}` : "all targets");
     const key = (k) => ({ stroke: `var(--${LINES[k % LINES.length]})`, "stroke-dasharray": DASHES[k % DASHES.length], "stroke-width": k ? 1.5 : 2.5 });
-    classes.forEach(([, , n, seen], k) => {
+    classes.forEach(([, n, seen], k) => {
       const at = (night) => 100 - 100 * seen[night] / (n || 1);
       plot.append(svg("path", { ...key(k), d: xs.map((x, night) => (night ? `H${x}V${at(night)}` : `M0 ${at(0)}`)).join("") }));
     });
@@ -180,10 +179,10 @@ class StatusView extends SkyMapView {
       this.setNight(xs.reduce((best, one, k) => (Math.abs(one - x) < Math.abs(xs[best] - x) ? k : best), 0));
     });
     this.values = classes.map(() => make("td", { class: "number" }));
-    const rows = classes.map((one, k) => {
+    const rows = classes.map(([name], k) => {
       const line = svg("svg", { viewBox: "0 0 30 6", class: "key", "aria-hidden": "true" });
       line.append(svg("line", { x1: 0, x2: 30, y1: 3, y2: 3, ...key(k) }));
-      return make("tr", {}, make("th", { scope: "row" }, line, named(one, k)), this.values[k]);
+      return make("tr", {}, make("th", { scope: "row" }, line, name), this.values[k]);
     });
     const [first, last] = [this.nights[0] ?? "", this.nights.at(-1) ?? ""];
     this.curves.append(make("div", { class: "panes" },
