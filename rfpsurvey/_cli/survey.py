@@ -196,13 +196,7 @@ def status(
         Path | None,
         typer.Option(help="Plot the visits and tiles by date, and the visits of each class (.png, .pdf or .svg)."),
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a report as a self-contained page (.html), with the tiles and the completeness after each "
-            "night, the fibers of each tile, and those that the last plan of the rest changed."
-        ),
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
     events: Annotated[
         bool, typer.Option("--events", help="List all records (rfpsurvey record), with their numbers, and exit.")
@@ -212,6 +206,9 @@ def status(
     ] = False,
 ) -> None:
     """Print what a survey has observed, what is planned, and what remains.
+
+    The report shows the tiles and the completeness after each night, the fibers of each tile, and those that the last
+    plan of the rest changed.
 
     Examples
     --------
@@ -281,16 +278,12 @@ def diff(
     output: Annotated[
         Path | None, typer.Option(help="Write a table with a row for each tile and each fiber that changed.")
     ] = None,
-    report: Annotated[
-        Path | None,
-        typer.Option(
-            help="Write a report as a self-contained page (.html): that of rfpsurvey status SECOND --report, with the "
-            "fibers that differ from the first plan."
-        ),
-    ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """List the tiles and fibers that differ between two plans of a survey, and the reasons.
+
+    The report is that of rfpsurvey status SECOND, with the fibers that differ.
 
     Examples
     --------

@@ -196,9 +196,10 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
 
 
-def draw_states(tiles: Tiling, radius: float) -> Axes:
+def draw_states(tiles: QTable, radius: float) -> Axes:
     """Return a map of tiles that are colored by their column ``state``; the radius of a field is in degrees."""
-    table, states = tiles.table.copy(), tiles.table["state"].tolist()
+    table, states = tiles.copy(), tiles["state"].tolist()
+    table["program"] = np.arange(len(table))  # several tiles may have the same place
     names = [name for name in STATE_COLORS if name in states]
     table["code"] = [names.index(state) for state in states]
     look = {"cmap": ListedColormap([STATE_COLORS[name] for name in names]), "alpha": None}

@@ -14,7 +14,6 @@ from rfpsurvey._survey.history.nights import NO_TARGET, History, codes_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.status import status_facts, survey_status
 from rfpsurvey._survey.survey import Survey
-from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import listed, number_of
 from rfpsurvey.plot import draw_states, plot_survey_status
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, pack, text_of
@@ -123,7 +122,7 @@ def status_view(history: History, status: Table, changes: Table) -> View:
     data["positioner"]["outer"] = 1.0 if plane is None else float(np.max(plane.arrays.outer_radius))
     words = "The color of a field shows its state after the last night. East is to the left."
     still = [
-        Picture("The tiles on the sky.", draw_states(Tiling(tiles), data["radius"]), words),
+        Picture("The tiles on the sky.", draw_states(tiles, data["radius"]), words),
         Rows("The tiles of the survey.", tiles, "rfpsurvey.survey.SurveyState"),
         Text("The calendar and the focal planes of tiles require a browser that runs scripts."),
     ]

@@ -232,6 +232,20 @@ def test_the_page_without_scripts_has_the_table_of_the_tiles(plans, tmp_path):
     assert all(0 <= targets <= visits for targets, visits in [lost, *numbers.values()])
 
 
+def test_a_tile_can_be_added_at_the_place_of_a_dropped_one(visit, tmp_path):
+    """On dates before a tile was dropped, both tiles are planned."""
+    survey = rs.plan_survey(living.targets(), living.instrument(), living.tiling(n=3), folder=tmp_path / "plan")
+    row = survey.tiles[0]
+    place = {"ra": [row["ra"].value], "dec": [row["dec"].value], "pass": row["pass"]}
+    survey.record(living.events(tile=[12, 11], state=["done", "dropped"], date=list(DATES[:2])), allow_future=True)
+    survey.record(living.events(tile=[21], state="added", **place))
+    for until, words in ((None, ["dropped", "observed", "planned", "planned"]), (DATES[0], ["planned", "observed"])):
+        rs.write_report(survey.state(until=until), tmp_path / "page.html", overwrite=True)
+        page = opened(visit, tmp_path / "page.html")
+        assert page.evaluate(f"{VIEW}.name") == ["11", "12", "13", "21"]
+        assert page.evaluate(f"{VIEW}.bin.map((code) => {VIEW}.words[code])")[: len(words)] == words
+
+
 def test_hostile_names_stay_text(visit, tmp_path):
     sky, unit = living.targets(n=60), living.instrument().focal_plane
     ids = [f"{HOSTILE}{k}" for k in range(60)]

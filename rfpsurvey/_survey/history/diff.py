@@ -117,26 +117,23 @@ def diff_generations(survey: Survey, state: SurveyState) -> QTable:
     """
     folder, later = survey.folder, _Side(survey, "second")
     generations, plans = generations_of(folder, read_request(folder)), read_plans(folder)
-    number, parts, unknown, replaced, former = generations[-1].number, [], [], {}, later
+    number, unknown, replaced, names, former = generations[-1].number, [], {}, [*later.row_of], later
     for name, row in later.row_of.items() if len(generations) > 1 else ():
-        of_tile = plans.get(part_name(row), [])
-        if later.survey._states[row] in NOT_PLANNED or of_tile[-1:] != [(later.digest(row), number)]:
+        *earlier, last = plans.get(part_name(row)) or [None]
+        if later.survey._states[row] in NOT_PLANNED or last != (later.digest(row), number):
             continue
-        content = verified(folder / kept_name(of_tile[-2][0]), of_tile[-2][0]) if len(of_tile) > 1 else None
+        content = verified(folder / kept_name(earlier[-1][0]), earlier[-1][0]) if earlier else None
         if content is None:
             unknown.append(name)
         else:
-            replaced[row] = parse_visits(content, f"the former plan of tile {name}", name)[0]
+            replaced[row] = QTable(parse_visits(content, f"the former plan of tile {name}", name)[0])
     if replaced:
-        present, earlier = (
-            SurveyState._of(events, state.given, state.rule, None)
-            for events in (later.events, later.events.first(generations[-2].n_files))
-        )
-        later.requested, former = present.requested, _Former(later, earlier, replaced)
-        for row in replaced:
-            former.see(row), later.see(row)
-        names = {row: name for name, row in later.row_of.items()}
-        parts = [_fibers(names[row], former, row, later, row) for row in replaced]
+        events = later.events, later.events.first(generations[-2].n_files)
+        present, before = (SurveyState._of(known, state.given, state.rule, None) for known in events)
+        later.requested, former = present.requested, _Former(later, before, replaced)
+    for row in replaced:
+        former.see(row), later.see(row)
+    parts = [_fibers(names[row], former, row, later, row) for row in replaced]
     table = _table([_changes("", []), *parts], former, later)
     table.meta = {"made_by": "diff_generations", "generation": number, "unknown": unknown}
     return table
@@ -144,13 +141,12 @@ def diff_generations(survey: Survey, state: SurveyState) -> QTable:
 
 def _table(parts: list[list[np.ndarray]], earlier: "_Side", later: "_Side") -> QTable:
     """Return the table of parts (see `_changes` and `_fibers`), with the reasons of all changes of fibers."""
-    *columns, before, after = map(np.concatenate, zip(*parts, strict=True))
-    table, fiber = QTable(dict(zip(DIFF, columns, strict=True))), columns[1] != ""
-    reasons = columns[-1].astype(f"U{max(map(len, (*REASONS, *STATES.values())))}")
-    if fiber.any():
-        reasons[fiber] = _reasons(earlier, later, before[fiber], after[fiber])
-    table["reason"] = reasons
-    return describe(table, DIFF)
+    *columns, reasons, before, after = map(np.concatenate, zip(*parts, strict=True))
+    if (fiber := columns[1] != "").any():
+        of_fibers = _reasons(earlier, later, before[fiber], after[fiber])
+        reasons = reasons.astype(np.promote_types(reasons.dtype, of_fibers.dtype))
+        reasons[fiber] = of_fibers
+    return describe(QTable(dict(zip(DIFF, [*columns, reasons], strict=True))), DIFF)
 
 
 class _Side:
@@ -179,14 +175,14 @@ class _Side:
         check_file(self.survey.folder, part_name(row), self.survey._known)
         return self.survey._known[part_name(row)][-1][1]
 
-    def visits(self, row: int) -> QTable | np.ndarray:
+    def visits(self, row: int) -> QTable:
         """Return the visits of a tile."""
         return self.survey._visits(row)
 
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""
         visits = self.visits(row)
-        if "priority" in (visits.colnames if isinstance(visits, QTable) else visits.dtype.names):
+        if "priority" in visits.colnames:
             target = np.asarray(visits["target_row"])
             self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
 
@@ -208,12 +204,12 @@ class _Side:
 class _Former(_Side):
     """Replaced plans of the tiles in some rows, and the state with which they were made."""
 
-    def __init__(self, later: _Side, state: SurveyState, replaced: dict[int, np.ndarray]):
+    def __init__(self, later: _Side, state: SurveyState, replaced: dict[int, QTable]):
         self.replaced, self.requested, self.dropped = replaced, state.requested, state.dropped
         self.replayed, self.ids = state.replayed, later.ids[: len(state)]
         self.priority = np.full(len(self.ids), np.nan)
 
-    def visits(self, row: int) -> np.ndarray:
+    def visits(self, row: int) -> QTable:
         """Return the visits of the replaced plan of a tile."""
         return self.replaced[row]
 
@@ -242,10 +238,14 @@ def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -
         targets.append(np.append(np.asarray(part["target_row"]), NO_TARGET)[place])
         ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
     changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
-    before, after = (target[changed] for target in targets)
-    n = len(before)
-    values = positioners[changed].astype(str), ids[0][changed], ids[1][changed]
-    return [np.full(n, name), *values, np.full(n, ""), before, after]
+    tile, reasons = (np.full(np.count_nonzero(changed), text) for text in (name, ""))
+    return [
+        tile,
+        positioners[changed].astype(str),
+        *(one[changed] for one in ids),
+        reasons,
+        *(t[changed] for t in targets),
+    ]
 
 
 def _reasons(earlier: _Side, later: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:
