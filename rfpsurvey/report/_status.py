@@ -101,12 +101,12 @@ def status_view(history: History, status: Table, changes: Table) -> View:
     changed = grouped((tile, change) for tile, *change in rows if change[0])
     fibers = _fibers(history, changed, names)
     tiles = tiles_of(history, changed, fibers.pop("generation"))
-    attempts, failures = history.state.attempts, history.failures
+    attempts, failures, number_of_plan = history.state.attempts, history.failures, changes.meta.get("generation")
     data = sky_view(tiles, history.survey.provenance["parameters"]["radius_deg"], []).data | {
         "columns": {LABELS.get(name, name): pack(tiles[name]) for name in tiles.colnames if name not in ("ra", "dec")},
         "nights": history.nights,
         "names": list(STATES),
-        "plan": f"generation {changes.meta['generation']}" if "generation" in changes.meta else "the other plan",
+        "plan": f"changed by generation {number_of_plan}" if number_of_plan else "that differ from the other plan",
         "states": [[[night, STATES.index(word)] for night, word in own] for own in history.states.values()],
         "attempts": [[number[e.row], history.night(e.date), STATES.index(WORDS[e.state])] for e in attempts],
         "failures": [[number[k], n, names.setdefault(i, len(names)), text_of(why)] for k, n, i, why in failures],

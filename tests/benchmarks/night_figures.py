@@ -2,7 +2,7 @@
 
 Run ``python tests/benchmarks/night_figures.py`` to record two tiles of SDSS-V per night, of which some visits fail, in
 the folder of a survey with 2000 tiles (``--nights N`` for 2 N tiles). The command prints the median time of a record at
-several times, and the times of the status before and after the rest is planned.
+several times, the times of the status before and after the rest is planned, and the size of its page.
 """
 
 import os
@@ -53,6 +53,10 @@ def main(n_nights: int) -> None:
             n = len(status.meta["progress"]["date"])
             print(f"status of {n} nights {words} the rest is planned: {time.perf_counter() - begin:.2f} s", flush=True)
             survey = survey.replan()
+        begin, page = time.perf_counter(), Path(place) / "page.html"
+        rs.write_report(survey.state(), page)
+        seconds = time.perf_counter() - begin
+        print(f"page of all nights: {page.stat().st_size / 1e6:.2f} MB, written in {seconds:.1f} s", flush=True)
 
 
 if __name__ == "__main__":

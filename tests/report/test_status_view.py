@@ -151,7 +151,7 @@ def test_changed_fibers_are_the_differences_of_the_two_plans(page, plans):
     kinds = {(True, True): "other", (True, False): "first", (False, True): "second"}
     assert all(kinds[bool(row[2]), bool(row[3])] == row[5] for row in found)
     assert {row[5] for row in found} == {*kinds.values()}
-    assert data["plan"] == "generation 2"
+    assert data["plan"] == "changed by generation 2"
 
 
 def test_a_page_on_another_plan_shows_the_same_differences(visit, plans, tmp_path):
@@ -159,7 +159,7 @@ def test_a_page_on_another_plan_shows_the_same_differences(visit, plans, tmp_pat
     table = rs.survey.diff_surveys(before, survey)
     rs.write_report(survey.state(), tmp_path / "page.html", changes=table)
     data = opened(visit, tmp_path / "page.html").evaluate(f"{VIEW}.data")
-    assert data["plan"] == "the other plan"
+    assert data["plan"] == "that differ from the other plan"
     assert sum(code != "0" for text in data["changes"] for code in text) == (table["positioner"] != "").sum() > 0
     for result, changes in ((survey, table), (survey.state(), survey.tiles)):
         with pytest.raises(rs.InputError, match="changes must be the table of diff_surveys, for the state of a survey"):

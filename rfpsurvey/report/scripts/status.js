@@ -130,7 +130,7 @@ class StatusView extends SkyMapView {
       return line;
     });
     return make("div", {}, make("div", { class: "calendar", role: "group", "aria-label": "Calendar of the nights" }, ...lines),
-      make("p", { class: "keys" }, "Each line is a month. A number is the number of tiles of a night, and a color is their state; gray nights have none. A click selects the night."));
+      make("p", { class: "keys note" }, "Each line is a month. A number is the number of tiles of a night, and a color is their state; gray nights have none. A click selects the night."));
   }
 
   // The selected night in the calendar and in the plot of the completeness.
@@ -238,7 +238,7 @@ class FiberMap extends FocalPlaneDrawing {
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.legend = make("ul", { class: "legend" });
     this.count = make("p", { class: "count", role: "status" });
-    const [field, box] = select("Show", [["", [["failures", "failed visits of all tiles"], ["fibers", "fibers of the tile"], ["changes", `fibers that ${data.plan} changed`]]]],
+    const [field, box] = select("Show", [["", [["failures", "failed visits of all tiles"], ["fibers", "fibers of the tile"], ["changes", `fibers ${data.plan}`]]]],
       () => this.setMode(box.value));
     this.modeBox = box;
     this.scroll = make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "Changed fibers" });
@@ -266,7 +266,7 @@ class FiberMap extends FocalPlaneDrawing {
     [this.changes, this.former] = expand(source.changes, source.former);
     const changed = this.id.map((_, i) => i).filter((i) => this.changes[i]);
     this.changedBox.hidden = !changed.length;
-    const columns = [["positioner", (i) => this.id[i]], ["before", (i) => this.former[i] || (this.hasNames ? "none" : "")], ["after", (i) => this.targets[i]],
+    const columns = [["positioner", (i) => this.id[i]], ["before", (i) => this.former[i]], ["after", (i) => this.targets[i]],
       ["reason", (i) => this.reason(i)]].map(([name, text]) => ({ name, unit: "", text }));
     this.table = new LongTable(this.scroll, columns, { n: this.n, label: "Positioner", choose: (i) => this.choose(i) });
     this.table.show(changed);
@@ -296,12 +296,12 @@ class FiberMap extends FocalPlaneDrawing {
     const names = { ...CHANGES, first: ["target only before", "c-arm"], second: ["target only after", "c-other"] };
     const entries = mode === "failures" ? [["positioner with failed visits; its area shows their number", "c-collision", "dot"], ["no failed visit", "c-idle", "ring"]] :
       mode === "fibers" ? counted(FIBERS, (i, k) => this.codes[i] === k).map(([name, n]) => [`${STATES[name][0]} (${n})`, STATES[name][1], STATES[name][2] ?? "dot"]) :
-        counted(["same", ...KINDS], (i, k) => (this.change(i) === ["same", ...KINDS][k])).map(([kind, n]) => [`${names[kind][0]} (${n})`, names[kind][1], "dot"]);
+        counted(["same", ...KINDS], (i, k) => (this.change(i) === ["same", ...KINDS][k])).map(([kind, n]) => [`${names[kind][0]} (${n})`, names[kind][1], kind === "first" ? "ring" : "dot"]);
     if (mode === "fibers" && total) entries.push([`failed visit (${total})`, "c-collision", "cross"]);
     if (mode === "fibers" && changed) entries.push([`changed (${changed})`, "c-mark", "ring"]);
     fillLegend(this.legend, entries.map(([name, color, shape]) => [name, `var(--${color})`, shape]));
     this.count.textContent = mode === "failures" ? `${plural(total, "failed visit")} of all tiles up to the selected night; at most ${most} of a positioner.` :
-      `Tile ${owner.name[tile]}: ${plural(changed, "fiber")} changed by ${this.source.plan}; ${plural(total, "failed visit")} up to the selected night.` +
+      `Tile ${owner.name[tile]}: ${plural(changed, "fiber")} ${this.source.plan}; ${plural(total, "failed visit")} up to the selected night.` +
       (this.hasNames || !this.source.fibers[tile] ? "" : " The page does not contain the identifiers of the targets of this tile.");
     if (this.selected >= 0) this.choose(this.selected);
     this.stage.draw();
