@@ -70,7 +70,7 @@ class History:
                 word = TileStates(event for event in known if event.date <= date).word_of(row)
                 if word != states[row][-1][1]:
                     states[row].append((self.night(date), word))
-        for row in self.state.past:
+        for row in {*self.state.past} - {*self.attempts}:
             states[row].append((len(self.nights), PAST))
         return states
 
