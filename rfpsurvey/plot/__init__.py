@@ -9,14 +9,13 @@ from rfpsurvey.plot._designs import plot_designs, plot_probability, plot_residua
 from rfpsurvey.plot._focal_plane import plot_focal_plane, plot_targets
 from rfpsurvey.plot._focal_plane_maps import plot_collision_map, plot_coverage
 from rfpsurvey.plot._quality import draw_survey, plot_quality
-from rfpsurvey.plot._sky import draw_states, draw_tiling, plot_tiling
+from rfpsurvey.plot._sky import draw_tiling, plot_tiling
 from rfpsurvey.plot._speed_accuracy import plot_probability_accuracy, plot_speed_accuracy
 from rfpsurvey.plot._survey import plot_completeness, plot_selection, plot_survey_status
 
 __all__ = [
     "COLORINGS",
     "draw_instruments",
-    "draw_states",
     "draw_survey",
     "draw_tiling",
     "plot_allocators",

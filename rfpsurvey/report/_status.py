@@ -14,8 +14,9 @@ from rfpsurvey._survey.history.nights import NO_TARGET, History, codes_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.status import status_facts, survey_status
 from rfpsurvey._survey.survey import Survey
+from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import listed, number_of
-from rfpsurvey.plot import draw_states, plot_survey_status
+from rfpsurvey.plot import plot_survey_status, plot_tiling
 from rfpsurvey.report._blocks import Facts, Page, Picture, Rows, Section, Text, View, pack, text_of
 from rfpsurvey.report._html import deflated
 from rfpsurvey.report._views import MM, sky_view
@@ -73,6 +74,7 @@ def _by_class(visits: dict) -> dict:
 
 STATES = (*WORDS.values(), PAST)
 """States of tiles, in the order of their codes in the data of the view."""
+PLACES = ("tile", "ra", "dec", "position_angle", "pass", "state")
 LABELS = {"state": "last_state"}
 """Other names of columns of the table of tiles, because the view also shows the state at a night."""
 CODES = "0123456789abcdefghijklmnopqrstuvwxyz"
@@ -115,14 +117,16 @@ def status_view(history: History, status: Table, changes: Table) -> View:
         "positioner": {"id": [text_of(name) for name in names]},
         **fibers,
     }
-    places = np.full((2, len(names)), np.nan)
+    xy = np.full((2, len(names)), np.nan)
     if plane is not None:
-        places[:, :n_placed] = plane.xy.to_value(u.mm).T
-    data["positioner"] |= {axis: pack(values, MM) for axis, values in zip("xy", places, strict=True)}
+        xy[:, :n_placed] = plane.xy.to_value(u.mm).T
+    data["positioner"] |= {axis: pack(values, MM) for axis, values in zip("xy", xy, strict=True)}
     data["positioner"]["outer"] = 1.0 if plane is None else float(np.max(plane.arrays.outer_radius))
+    # several tiles may have the same place, such as a tile that was added in place of a dropped one
+    places = Tiling(QTable({**{name: tiles[name] for name in PLACES}, "program": np.arange(len(tiles))}))
     words = "The color of a field shows its state after the last night. East is to the left."
     still = [
-        Picture("The tiles on the sky.", draw_states(tiles, data["radius"]), words),
+        Picture("The tiles on the sky.", plot_tiling(places, color="state", radius=data["radius"] * u.deg), words),
         Rows("The tiles of the survey.", tiles, "rfpsurvey.survey.SurveyState"),
         Text("The calendar and the focal planes of tiles require a browser that runs scripts."),
     ]

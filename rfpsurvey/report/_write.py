@@ -298,12 +298,11 @@ def write_report(
     pictures = _pictures(figures)
     options = {} if (paths := check_paths(result, paths)) is None else {"paths": paths}
     if changes is not None:
-        made_by = changes.meta.get("made_by") if isinstance(changes, Table) else None
-        if not isinstance(result, SurveyState) or made_by != "diff_surveys":
-            raise InputError(
-                "changes must be the table of diff_surveys, for the state of a survey, got "
-                f"{short(changes)} for {short(result)}"
-            )
+        if not isinstance(changes, Table):
+            raise refusal("changes must be the table of diff_surveys", changes, Table)
+        if not isinstance(result, SurveyState) or changes.meta.get("made_by") != "diff_surveys":
+            text = "changes must be the table of diff_surveys, for the state of a survey, got "
+            raise InputError(f"{text}{short(changes)} for {short(result)}")
         options["changes"] = changes
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows, options)
     if title is not None:
