@@ -1,6 +1,7 @@
 """The commands ``rfpsurvey survey``, ``record``, ``status`` and ``diff``."""
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Annotated
@@ -15,7 +16,6 @@ from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.results import print_facts, print_text
-from rfpsurvey._common.files import WRITABLE, check_output
 from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import is_number, parse_number
 from rfpsurvey._survey import key_objects
@@ -205,6 +205,9 @@ def status(
 ) -> None:
     """Print what a survey has observed, what is planned, and what remains.
 
+    The report shows the tiles and the completeness after each night, the fibers of each tile, and those that the last
+    plan of the rest changed.
+
     Examples
     --------
     rfpsurvey status plan
@@ -238,7 +241,7 @@ def status(
         outputs,
         write=state.write,
         draw=lambda: rs.plot.plot_survey_status(progress)[0].figure,
-        report=(progress, {}),
+        report=(state, {}),
     ):
         _results.print_facts(status_facts(progress), 24)
         print("tiles of each pass by state:")
@@ -273,20 +276,28 @@ def diff(
     output: Annotated[
         Path | None, typer.Option(help="Write a table with a row for each tile and each fiber that changed.")
     ] = None,
+    report: Annotated[Path | None, typer.Option(help="Write a report as a self-contained page (.html).")] = None,
     overwrite: Annotated[bool, typer.Option("--overwrite", help="Replace existing files.")] = False,
 ) -> None:
     """List the tiles and fibers that differ between two plans of a survey, and the reasons.
 
+    The report is that of rfpsurvey status SECOND, with the fibers that differ.
+
     Examples
     --------
     rfpsurvey diff before plan
-    rfpsurvey diff before plan --output changes.ecsv
+    rfpsurvey diff before plan --output changes.ecsv --report changes.html
     """
-    if output is not None:
-        check_output(output, WRITABLE, overwrite=overwrite)
+    outputs = SimpleNamespace(path=output, plot=None, report=report, overwrite=overwrite)
+    _app.check_outputs(outputs)
     table = diff_surveys(first, second)
-    if output is not None:
-        write_table(table, output, overwrite=overwrite)
+    state = None if report is None else state_in(second, tell=_results.print_text)
+    with _results.files(outputs, write=partial(write_table, table), report=(state, {"changes": table})):
+        _print_differences(table, first, second)
+
+
+def _print_differences(table: QTable, first: Path, second: Path) -> None:
+    """Print the tiles and fibers that differ between two plans."""
     n_tiles = table.meta["n_tiles"]
     if len(table) == 0:
         print(f"the plans are the same: {number_of(n_tiles[0], 'tile')}")
@@ -307,5 +318,3 @@ def diff(
         _results.print_text(f"tile {tile}: {', '.join(words[tile])}")
     if len(words) > MOST_TILES:
         print(f"and {number_of(len(words) - MOST_TILES, 'more tile')}")
-    if output is not None:
-        print(f"wrote {output}")

@@ -8,6 +8,7 @@ from astropy.table import QTable
 
 from rfpsurvey._field.verdicts import OUTCOMES, Outcome, category_classes, priority_classes
 from rfpsurvey._sky.arrays import JOINED
+from rfpsurvey._survey.columns import PAST
 from rfpsurvey.errors import InputError, number_of
 from rfpsurvey.plot._axes import (
     ARM,
@@ -126,6 +127,15 @@ OUTCOME_COLORS = {
     Outcome.NOT_REQUESTED: SERIES[4],
     Outcome.IN_NO_FIELD: "#555555",
 }
+STATE_COLORS = {
+    "observed": ARM,
+    "partly observed": SERIES[3],
+    "bad": COLLISION,
+    "dropped": "#555555",
+    "planned": PATROL,
+    PAST: FADED,
+}
+"""Colors of the states of tiles; views in pages have the same colors (``scripts/status.js``), or darker ones."""
 ASSIGNED = (Outcome.OBSERVED, Outcome.PARTLY_OBSERVED, Outcome.LOST_TO_A_COLLISION)
 KIND_COLORS = {"science": ARM, "standard": SERIES[2], "sky": SERIES[3], **dict.fromkeys(JOINED, SERIES[4])}
 LEFT, MARKED = (0.35, 0.8, 3.0), (0.5, 1.7, 5.0)

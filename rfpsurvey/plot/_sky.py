@@ -6,12 +6,13 @@ from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection, PolyCollection
-from matplotlib.colors import BoundaryNorm
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 
 from rfpsurvey._common.units import to_direction, to_scalar
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.region import Region
+from rfpsurvey._survey.history.events import WORDS
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import InputError, InputTypeError, listed, number_of
@@ -25,8 +26,10 @@ from rfpsurvey.plot._axes import (
     new_axes,
     new_figure,
 )
+from rfpsurvey.plot._classes import STATE_COLORS
 from rfpsurvey.plot._sky_map import SkyMap, is_wide, map_of, outline_of_region, outlines_of_whole_sky, rims_of
 
+STATES = {"", *WORDS, *STATE_COLORS}
 MOST_STEPS = 12
 LARGEST = 7.0  # inches: longer side of the axes
 FLAT = 0.45
@@ -58,7 +61,8 @@ def plot_tiling(
     tiles : Tiling or Survey
         Tiles to plot.
     color : str, optional
-        Column that determines the color; by default the completeness of a survey, or the pass of a tiling.
+        Column that determines the color; by default the completeness of a survey, or the pass of a tiling. The colors
+        of the column ``state`` are those of the report on the state of a survey.
     radius : Quantity, optional
         Radius of a field; by default, the field radius of the survey or of the tiling, or 1 deg if it is unknown.
     targets : Catalog or SkyCoord, optional
@@ -97,7 +101,11 @@ def plot_tiling(
         raise InputError("there must be at least one tile to draw, got none")
     color = color or ("completeness" if isinstance(tiles, Survey) else "pass")
     numbers = [name for name in table.colnames if np.asarray(table[name]).dtype.kind in "iufb"]
-    if color not in numbers:
+    states: list[str] = []
+    if color == "state" and color in table.colnames and {*table["state"].tolist()} <= STATES:
+        table, states, style = _by_state(table)
+        kwargs = style | kwargs
+    elif color not in numbers:
         raise InputError(f"color must be a column of numbers ({listed(numbers)}), got {color!r}")
     targets = _checked(targets, region)
     radius = radius_of(tiles) if radius is None else to_scalar(radius, u.deg, "radius", low=0, high=90)
@@ -110,6 +118,8 @@ def plot_tiling(
         ax = _new_axes(sky_map, rims, scale=len(levels) > 1, legend=several or not (targets is None and region is None))
     sky_map.label(ax)
     draw_tiles(ax, sky_map, table, radius, color, kwargs)
+    for scale in ax.child_axes if states else ():
+        scale.set_yticks(range(len(states)), labels=states)
     handles = list(draw_field(ax, sky_map, targets, region))
     if several:
         style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
@@ -206,6 +216,16 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
         scale = ax.figure.colorbar(drawn, cax=place, label=name.replace("_", " "))
         if steps:
             scale.set_ticks(levels, labels=[f"{level:g}" for level in levels])
+
+
+def _by_state(table: QTable) -> tuple[QTable, list[str], dict]:
+    """Return a table of tiles whose states are numbers, the names of these states, and the style of the tiles."""
+    words = [WORDS.get(state, state) or "planned" for state in table["state"].tolist()]
+    names = [name for name in STATE_COLORS if name in words]
+    table = table.copy()
+    table["state"] = [names.index(word) for word in words]
+    norm = BoundaryNorm(np.arange(-0.5, len(names)), len(names))
+    return table, names, {"cmap": ListedColormap([STATE_COLORS[name] for name in names]), "norm": norm, "alpha": None}
 
 
 def draw_rims(ax: Axes, rims: np.ndarray, zorder: float) -> None:

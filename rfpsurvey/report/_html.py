@@ -4,6 +4,7 @@ import base64
 import hashlib
 import io
 import re
+import zlib
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache, partial
@@ -164,6 +165,7 @@ NEEDS = {
     "focal_plane": ["long_table", "focal_plane_drawing"],
     "motion": ["long_table", "focal_plane_drawing", "focal_plane"],
     "sky_map": ["sky_map_drawing"],
+    "status": ["long_table", "focal_plane_drawing", "sky_map_drawing", "sky_map"],
 }  # further scripts that a view requires
 PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both A4 and US letter
 LETTER, GAP = 0.68, 2  # width of a letter divided by the size of the text, and number of letters between columns
@@ -232,13 +234,18 @@ def _template() -> "Template":
 @cache
 def _script(kinds: tuple[str, ...]) -> str:
     """Return the script of a page with the given kinds of views; without views, the script only controls tables."""
-    parts = [part for kind in kinds for part in (*NEEDS.get(kind, ()), kind)]
+    parts = dict.fromkeys(part for kind in kinds for part in (*NEEDS.get(kind, ()), kind))
     names = ["page.js", *(f"scripts/{part}.js" for part in (["shared", *parts] if kinds else []))]
     return "\n" + "\n".join(_asset(name) for name in names)
 
 
 def _asset(name: str) -> str:
     return (files("rfpsurvey.report") / name).read_text(encoding="utf-8")
+
+
+def deflated(data: dict) -> dict:
+    """Return the data of a large view as a dict with compressed JSON, which the script of the page expands."""
+    return {"deflated": base64.b64encode(zlib.compress(json_of(data).encode())).decode()}
 
 
 def _columns(block: Rows, max_rows: int | None) -> tuple[int, list[dict]]:

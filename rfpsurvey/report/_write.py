@@ -1,4 +1,4 @@
-"""The function that writes reports, and the report pages of surveys, their status, tilings and probabilities."""
+"""The function that writes reports, and the report pages of surveys, tilings and selection probabilities."""
 
 import os
 from collections.abc import Callable, Mapping
@@ -7,24 +7,33 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from astropy.table import QTable, Table
+from astropy.table import Table
 
 from rfpsurvey._common.files import check_output, to_path
 from rfpsurvey._common.io import writing_to
-from rfpsurvey._field.facts import versions
 from rfpsurvey._field.tile import Tile
 from rfpsurvey._studies.compare_instruments import PARTS
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._survey.columns import survey_facts
-from rfpsurvey._survey.history.status import status_facts
+from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, part_of, selection_facts
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, check_whole, items_of, number_of, refusal
-from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_survey_status, plot_tiling
+from rfpsurvey.errors import (
+    InputError,
+    InputTypeError,
+    check_keywords,
+    check_whole,
+    items_of,
+    number_of,
+    refusal,
+    short,
+)
+from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_tiling
 from rfpsurvey.report import _tables
 from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
 from rfpsurvey.report._html import html_of
+from rfpsurvey.report._status import page_of_state, page_of_status
 from rfpsurvey.report._tile import check_paths, page_of_tile
 from rfpsurvey.report._views import check_plans, sky_view
 
@@ -118,54 +127,6 @@ def _about_curves(survey) -> str:
     return words
 
 
-NOT_PLANNED = "Events were recorded after the last plan. Planned visits are those of the last plan."
-
-
-def page_of_status(status: Table, where: str) -> Page:
-    """Return a page on the status of a survey."""
-    total, tiles = status[0], QTable(rows=status.meta["tiles"])
-    done = int(tiles["observed"].sum())
-    highlights = {
-        f"of {int(total['n_requested'])} visits observed": int(total["n_observed"]),
-        "tiles observed": done,
-        "visits planned": int(total["n_planned"]),
-    }
-    words = (
-        "Left: the numbers of visits (left axis) and of tiles (right axis) that were observed up to each date. Right: "
-        "for each class of targets, the fractions of the requested visits that are observed, planned, not assigned, "
-        "lost to collisions, and not possible because the target is out of reach of all tiles or excluded by a limit."
-    )
-    picture = Picture("Progress of the survey.", plot_survey_status(status)[0].figure, words)
-    progress = status.meta["progress"]
-    dates = QTable({"date": progress["date"], "tiles": progress["n_tiles"], **_by_class(progress["n_observed"])})
-    until = status.meta["events"].get("until")
-    note = f"Observations until {until} are taken into account." if until else NOT_PLANNED
-    blocks = [Facts("", status_facts(status)), *([] if status.meta["is_planned"] else [Text(note)])]
-    sections = [
-        Section("Result", blocks),
-        Section("Progress", [picture, *([Rows("Observed tiles and visits up to each date.", dates)] if dates else [])]),
-        Section("Classes", [Rows("The visits of each class of targets.", status, where or "survey_status")]),
-        Section("Tiles", [Rows("The numbers of tiles of each pass by their state.", tiles)]),
-    ]
-    if failures := status.meta["failures"]:
-        rows = Rows("Positioners whose visits failed in several tiles.", QTable(rows=failures))
-        sections.append(Section("Failures", [rows]))
-    if areas := status.meta["areas"]:
-        sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
-    lead = (
-        f"{int(total['n_observed'])} of {number_of(int(total['n_requested']), 'visit')} are observed on "
-        f"{number_of(done, 'tile')}."
-    )
-    provenance = {"events": status.meta["events"], "software": versions()}
-    title = f"Status of a survey with {status.meta['instrument']}"
-    return Page("Status", title, lead, highlights, sections, provenance)
-
-
-def _by_class(visits: dict) -> dict:
-    """Return columns with the visits of each class."""
-    return {"visits" if name == "all" else f"priority {name}": values for name, values in visits.items()}
-
-
 MOST_TARGETS = 10_000
 """Largest number of targets that are converted to a table for a page, because a survey can have millions of targets."""
 WORDS = (
@@ -217,6 +178,7 @@ PAGES: dict[type, Callable[..., Page]] = {
     Tiling: page_of_tiling,
     Estimate: _tables.page_of_estimate,
     SelectionProbabilities: page_of_selection,
+    SurveyState: page_of_state,
     Table: _tables.page_of_table,
 }
 """For each type of result, the function that makes its page.
@@ -241,7 +203,7 @@ def check_report(path: str | os.PathLike, *, overwrite: bool = False) -> Path:
 
 @check_keywords
 def write_report(
-    result: "Tile | Survey | Tiling | Estimate | SelectionProbabilities | Table",
+    result: "Tile | Survey | SurveyState | Tiling | Estimate | SelectionProbabilities | Table",
     path: str | os.PathLike,
     *,
     overwrite: bool = False,
@@ -251,6 +213,7 @@ def write_report(
     max_rows: int | None = None,
     plans: Mapping[str, Tile] | None = None,
     paths: "Paths | bool | None" = None,
+    changes: Table | None = None,
 ) -> None:
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
@@ -259,9 +222,9 @@ def write_report(
 
     Parameters
     ----------
-    result : Tile, Survey, Tiling, Estimate, SelectionProbabilities, Table or QTable
+    result : Tile, Survey, SurveyState, Tiling, Estimate, SelectionProbabilities, Table or QTable
         Result to show. A table is shown with its ``meta``; tables of `compare_allocators` and `compare_instruments`
-        have special pages.
+        have special pages. The page of a state (`Survey.state`) shows all nights of the survey in its folder.
     path : str or path-like
         Path that ends in ``.html`` or ``.htm``.
     overwrite : bool, optional
@@ -285,14 +248,19 @@ def write_report(
     paths : Paths or bool, optional
         For a report on a `Tile`, paths of the arms to the poses of the tile, such as those of `Tile.paths`. The view of
         the focal plane then shows the motion of the arms. If ``paths`` is True, `Tile.paths` plans them.
+    changes : QTable, optional
+        For a report on a state, the differences of another plan and the plan of the survey
+        (`rfpsurvey.survey.diff_surveys`), which the page shows. By default, the page shows the fibers that the last
+        plan of the rest changed.
 
     Raises
     ------
     InputError
         If there is no page for this type of result, if the path does not end in ``.html`` or ``.htm``, if the file
         exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, if
-        ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`, or if ``paths``
-        are given although the result is no `Tile`, or do not lead to the poses of this tile.
+        ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`, if ``paths``
+        are given although the result is no `Tile`, or do not lead to the poses of this tile, or if ``changes`` are
+        given although the result is no state of a survey, or are another table.
 
     Examples
     --------
@@ -315,6 +283,13 @@ def write_report(
         raise refusal("plans must be a dict of names to tiles", plans, Mapping)
     pictures = _pictures(figures)
     options = {} if (paths := check_paths(result, paths)) is None else {"paths": paths}
+    if changes is not None:
+        if not isinstance(changes, Table):
+            raise refusal("changes must be the table of diff_surveys", changes, Table)
+        if not isinstance(result, SurveyState) or changes.meta.get("made_by") != "diff_surveys":
+            text = "changes must be the table of diff_surveys, for the state of a survey, got "
+            raise InputError(f"{text}{short(changes)} for {short(result)}")
+        options["changes"] = changes
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows, options)
     if title is not None:
         page = replace(page, title=str(title))  # subclasses of str can declare that they are safe HTML
@@ -344,7 +319,7 @@ def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int
         return build(result, where, plans=check_plans(result, plans), max_rows=max_rows, **options)
     if plans is not None:
         raise InputError("plans must be given only for a Tile or a table of compare_allocators")
-    return build(result, where)
+    return build(result, where, **options)
 
 
 def _pictures(figures) -> list[Picture]:

@@ -2,10 +2,12 @@
 
 Run ``python tests/benchmarks/night_figures.py`` to record two tiles of SDSS-V per night, of which some visits fail, in
 the folder of a survey with 2000 tiles (``--nights N`` for 2 N tiles). The command prints the median time of a record at
-several times, and the times of the status before and after the rest is planned.
+several times, the times of the status before and after the rest is planned, the size of its page, and the times in
+which Chromium draws a night.
 """
 
 import os
+import sys
 import tempfile
 import time
 import warnings
@@ -18,9 +20,27 @@ from astropy.coordinates import SkyCoord
 from astropy.table import Table
 from measure import arguments
 
+sys.path.insert(0, str(Path(__file__).parent.parent / "helpers"))
+
 import rfpsurvey as rs
+from browser import open_browser
 
 os.environ["SOURCE_DATE_EPOCH"] = "1420070400"  # the survey is planned before the invented dates
+FRAMES = """async () => {
+  const section = document.querySelector(".view"), times = [];
+  while (!(section.view?.stage.width > 1)) await new Promise(requestAnimationFrame);
+  for (let k = 0; k < 100; k += 1) {
+    const begin = performance.now();
+    section.view.setNight(Math.floor(k * section.view.nights.length / 100));
+    for (const { stage } of [section.view, section.view.fibers]) {
+      stage.paint();
+      stage.canvas.getContext("2d").getImageData(0, 0, 1, 1); // waits until everything is drawn
+    }
+    if (k) times.push(performance.now() - begin);
+    await new Promise(requestAnimationFrame);
+  }
+  return times;
+}"""
 SHOWN = (10, 30, 100, 300, 1000)
 
 
@@ -53,6 +73,13 @@ def main(n_nights: int) -> None:
             n = len(status.meta["progress"]["date"])
             print(f"status of {n} nights {words} the rest is planned: {time.perf_counter() - begin:.2f} s", flush=True)
             survey = survey.replan()
+        begin, page = time.perf_counter(), Path(place) / "page.html"
+        rs.write_report(survey.state(), page)
+        seconds = time.perf_counter() - begin
+        print(f"page of all nights: {page.stat().st_size / 1e6:.2f} MB, written in {seconds:.1f} s", flush=True)
+        with open_browser("console: Canvas2D") as visit:
+            times = visit(page, width=1400).evaluate(FRAMES)
+        print(f"frame of a night with all pixels: {np.median(times):.1f} ms, 10 %: {np.quantile(times, 0.1):.1f} ms")
 
 
 if __name__ == "__main__":

@@ -7,6 +7,7 @@ import pytest
 from astropy.table import Table
 
 import rfpsurvey as rs
+from pages import Reader
 
 NIGHT = "2026-01-03"
 
@@ -54,14 +55,19 @@ def test_the_report_of_the_status(call, observed, tmp_path):
     page = (tmp_path / "status.html").read_text()
     for text in ("Status of a survey with sdss_apo", "Events were recorded after the last plan", "2026-01-05"):
         assert text in page
+    rs.write_report(rs.Survey.read(observed).state(), tmp_path / "same.html")
+    assert (tmp_path / "same.html").read_text() == page
 
 
-def test_invalid_input_of_the_status_and_of_differences_is_one_sentence(refused, observed, tmp_path):
+def test_invalid_input_of_the_status_and_of_differences_is_one_sentence(run, refused, observed, tmp_path):
     assert "does not hold a survey" in refused("status", tmp_path)
     assert "date must be a date" in refused("status {} --until soon", observed)
     assert "must end in" in refused("status {} --output {}", observed, tmp_path / "x.txt")
     assert "does not hold a survey" in refused("diff", observed, tmp_path)
     assert "must end in" in refused("diff {} {} --output {}", observed, observed, tmp_path / "x.txt")
+    for words in ("status {0}", "diff {0} {0}"):
+        assert "must end in .html or .htm" in refused(f"{words} --report x.txt".format(observed))
+    assert "Missing argument" in run("status", "--report", "x.html")[2]
     (observed / "plan.toml").unlink()
     assert "must contain the file plan.toml" in refused("status {} --report {}", observed, tmp_path / "x.html")
     assert not (tmp_path / "x.html").exists()
@@ -95,8 +101,13 @@ def test_differences_of_two_plans(call, observed, tmp_path):
     assert out.startswith("the plans are the same: 4 tiles events that were recorded in")
     assert out.count("after its last plan are not compared") == 2
     call("survey {} --replan", observed)
-    found = call("diff {} {} --output {}", before, observed, tmp_path / "changes.fits")
+    found = call("diff {} {} --output {} --report {}", before, observed, tmp_path / "changes.fits", tmp_path / "d.html")
     expected = rs.survey.diff_surveys(before, observed)
+    heads, rows = Reader((tmp_path / "d.html").read_text()).table("The tiles of the survey")
+    changed = [int(row[heads.index("n changed")]["text"]) for row in rows]
+    numbers = [((expected["tile"] == name) & (expected["positioner"] != "")).sum() for name in ("11", "12", "13", "14")]
+    assert changed == numbers
+    assert found.out.endswith(f"wrote {tmp_path / 'changes.fits'}\nwrote {tmp_path / 'd.html'}\n")
     assert Table.read(tmp_path / "changes.fits")["reason"].tolist() == expected["reason"].tolist()
     assert (found.lines["tiles: observed"], found.lines["tiles: dropped"]) == (["2"], ["1"])
     n = int(((expected["tile"] == "14") & (expected["positioner"] != "")).sum())

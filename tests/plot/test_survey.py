@@ -7,8 +7,10 @@ import pytest
 from astropy.coordinates import SkyCoord
 from astropy.table import QTable
 from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_hex
 
 import rfpsurvey as rs
+from rfpsurvey.plot._classes import STATE_COLORS
 from rfpsurvey.plot._sky_map import outlines_of_whole_sky
 
 CENTER = SkyCoord(359.5 * u.deg, 20 * u.deg)
@@ -155,6 +157,20 @@ def test_twenty_thousand_tiles_are_one_collection():
         QTable({"ra": rng.uniform(0, 360, 20_000) * u.deg, "dec": rng.uniform(-60, 60, 20_000) * u.deg})
     )
     assert len(rs.plot.plot_tiling(tiling).collections) == 1
+
+
+def test_tiles_are_colored_by_their_states(survey):
+    table = survey.tiles[["tile", "ra", "dec", "position_angle", "pass"]]
+    table["state"] = ["done", "", "bad"]
+    ax = rs.plot.plot_tiling(rs.Tiling(table), color="state")
+    names = [label.get_text() for label in ax.child_axes[-1].get_yticklabels()]
+    assert names == ["observed", "bad", "planned"]
+    (collection,) = [one for one in ax.collections if isinstance(one, PolyCollection)]
+    drawn = {names[int(code)]: to_hex(collection.to_rgba(code)).upper() for code in collection.get_array()}
+    assert drawn == {name: STATE_COLORS[name] for name in names}
+    table["state"] = ["other"] * len(table)
+    with pytest.raises(rs.InputError, match="color must be a column of numbers"):
+        rs.plot.plot_tiling(rs.Tiling(table), color="state")
 
 
 def test_colors_run_from_the_smallest_to_the_largest_value_and_are_opaque(survey):

@@ -358,7 +358,8 @@ def test_ids_of_figures_never_clash():
         ({"path": "there.html"}, "exists; to replace it, use overwrite=True"),
         (
             {"result": [1]},
-            "result must be one of Tile, Survey, Tiling, Estimate, SelectionProbabilities, Table, got list",
+            "result must be one of Tile, Survey, Tiling, Estimate, SelectionProbabilities, SurveyState, Table, got "
+            "list",
         ),
         ({"figures": ["x"]}, "figures must be Figures or Axes of matplotlib, got str"),
         ({"max_rows": 0}, "max_rows must be a whole number of at least 1, got 0"),

@@ -10,10 +10,12 @@ from astropy.table import QTable
 from rfpsurvey._common.descriptions import Column, describe, table_of
 from rfpsurvey._common.folder import check_file
 from rfpsurvey._survey.columns import NOT_PLANNED, PAST
-from rfpsurvey._survey.folder import part_name
+from rfpsurvey._survey.folder import kept_name, parse_visits, part_name, read_request, verified
+from rfpsurvey._survey.generations import generations_of, read_plans
 from rfpsurvey._survey.history.event_files import read_events
 from rfpsurvey._survey.history.events import WORDS, Events, TileState, places_of
 from rfpsurvey._survey.history.replay import Replay, replay_of_plan
+from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.targets import DROPPED, ROW
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey.errors import InputError, refusal
@@ -97,14 +99,54 @@ def diff_surveys(first: Survey | str | os.PathLike, second: Survey | str | os.Pa
         earlier.see(rows[0]), later.see(rows[1])
     for name, rows in compared:
         changes[name].append(_fibers(name, earlier, rows[0], later, rows[1]))
-    columns = zip(*(part for parts in changes.values() for part in parts), strict=True)
-    table = QTable(dict(zip(DIFF, map(np.concatenate, columns), strict=True)))
+    table = _table([part for parts in changes.values() for part in parts], earlier, later)
     table.meta = {
         "made_by": "diff_surveys",
         "n_tiles": [len(earlier.row_of), len(later.row_of)],
         "n_later_files": [earlier.n_later_files, later.n_later_files],
     }
-    return describe(table, DIFF)
+    return table
+
+
+def diff_generations(survey: Survey, state: SurveyState) -> QTable:
+    """Return the fibers that differ between the plan of a survey and the last plan before it that was kept.
+
+    The columns are those of `diff_surveys`. The last generation determines which tiles are compared: those whose plans
+    it introduced. ``meta["generation"]`` is its number, and ``meta["unknown"]`` contains the tiles of which no earlier
+    plan was kept.
+    """
+    folder, later = survey.folder, _Side(survey, "second")
+    generations, plans = generations_of(folder, read_request(folder)), read_plans(folder)
+    number, unknown, replaced, names, former = generations[-1].number, [], {}, [*later.row_of], later
+    for name, row in later.row_of.items() if len(generations) > 1 else ():
+        *earlier, last = plans.get(part_name(row)) or [None]
+        if later.survey._states[row] in NOT_PLANNED or last != (later.digest(row), number):
+            continue
+        content = verified(folder / kept_name(earlier[-1][0]), earlier[-1][0]) if earlier else None
+        if content is None:
+            unknown.append(name)
+        else:
+            replaced[row] = QTable(parse_visits(content, f"the former plan of tile {name}", name)[0])
+    if replaced:
+        events = later.events, later.events.first(generations[-2].n_files)
+        present, before = (SurveyState._of(known, state.given, state.rule, None) for known in events)
+        later.requested, former = present.requested, _Former(later, before, replaced)
+    for row in replaced:
+        former.see(row), later.see(row)
+    parts = [_fibers(names[row], former, row, later, row) for row in replaced]
+    table = _table([_changes("", []), *parts], former, later)
+    table.meta = {"made_by": "diff_generations", "generation": number, "unknown": unknown}
+    return table
+
+
+def _table(parts: list[list[np.ndarray]], earlier: "_Side", later: "_Side") -> QTable:
+    """Return the table of parts (see `_changes` and `_fibers`), with the reasons of all changes of fibers."""
+    *columns, reasons, before, after = map(np.concatenate, zip(*parts, strict=True))
+    if (fiber := columns[1] != "").any():
+        of_fibers = _reasons(earlier, later, before[fiber], after[fiber])
+        reasons = reasons.astype(np.promote_types(reasons.dtype, of_fibers.dtype))
+        reasons[fiber] = of_fibers
+    return describe(QTable(dict(zip(DIFF, [*columns, reasons], strict=True))), DIFF)
 
 
 class _Side:
@@ -133,9 +175,13 @@ class _Side:
         check_file(self.survey.folder, part_name(row), self.survey._known)
         return self.survey._known[part_name(row)][-1][1]
 
+    def visits(self, row: int) -> QTable:
+        """Return the visits of a tile."""
+        return self.survey._visits(row)
+
     def see(self, row: int) -> None:
         """Keep the priorities of the targets of a tile."""
-        visits = self.survey._visits(row)
+        visits = self.visits(row)
         if "priority" in visits.colnames:
             target = np.asarray(visits["target_row"])
             self.priority[target[target >= 0]] = np.asarray(visits["priority"], dtype=float)[target >= 0]
@@ -155,15 +201,32 @@ class _Side:
         return dropped
 
 
+class _Former(_Side):
+    """Replaced plans of the tiles in some rows, and the state with which they were made."""
+
+    def __init__(self, later: _Side, state: SurveyState, replaced: dict[int, QTable]):
+        self.replaced, self.requested, self.dropped = replaced, state.requested, state.dropped
+        self.replayed, self.ids = state.replayed, later.ids[: len(state)]
+        self.priority = np.full(len(self.ids), np.nan)
+
+    def visits(self, row: int) -> QTable:
+        """Return the visits of the replaced plan of a tile."""
+        return self.replaced[row]
+
+
 def _changes(name: str, reasons: list[str]) -> list[np.ndarray]:
-    """Return the columns of rows on changes of a whole tile."""
+    """Return the columns of rows on changes of a whole tile, and rows of targets as for `_fibers`."""
     n = len(reasons)
-    return [np.full(n, name), *(np.full(n, "") for _ in range(3)), np.array(reasons, dtype=str)]
+    nothing, targets = (np.full(n, value) for value in ("", NO_TARGET))
+    return [np.full(n, name), nothing, nothing, nothing, np.array(reasons, dtype=str), targets, targets]
 
 
 def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -> list[np.ndarray]:
-    """Return the columns of rows on the fibers of a tile that have another target."""
-    visits = earlier.survey._visits(row), later.survey._visits(later_row)
+    """Return the columns of rows on the fibers of a tile that have another target, and the rows of both targets.
+
+    The reasons are empty.
+    """
+    visits = earlier.visits(row), later.visits(later_row)
     fibers = [np.asarray(part["positioner"]) for part in visits]
     if fibers[0].dtype.kind != fibers[1].dtype.kind:
         raise InputError("the surveys must have the same instrument, got other identifiers of positioners")
@@ -175,9 +238,14 @@ def _fibers(name: str, earlier: _Side, row: int, later: _Side, later_row: int) -
         targets.append(np.append(np.asarray(part["target_row"]), NO_TARGET)[place])
         ids.append(np.append(np.asarray(part["target_id"]).astype(str), "")[place])
     changed = (targets[0] != targets[1]) | (ids[0] != ids[1])
-    before, after = (target[changed] for target in targets)
-    reasons = _reasons(earlier, later, before, after)
-    return [np.full(len(before), name), positioners[changed].astype(str), ids[0][changed], ids[1][changed], reasons]
+    tile, reasons = (np.full(np.count_nonzero(changed), text) for text in (name, ""))
+    return [
+        tile,
+        positioners[changed].astype(str),
+        *(one[changed] for one in ids),
+        reasons,
+        *(t[changed] for t in targets),
+    ]
 
 
 def _reasons(earlier: _Side, later: _Side, before: np.ndarray, after: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.columns import CARDS, N_LOST
 from rfpsurvey._survey.generations import EVENTS
-from rfpsurvey._survey.history.events import Events, TileEvent, TileState, add_tiles
+from rfpsurvey._survey.history.events import WORDS, Events, TileEvent, TileState, add_tiles
 from rfpsurvey._survey.history.rule import LAST
 from rfpsurvey._survey.source import column_of, is_science
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -120,6 +120,11 @@ class TileStates:
         if row in self.dropped:
             return TileEvent(row, "", TileState.DROPPED)
         return past[-1] if past and past[-1].state == TileState.PARTLY else TileEvent(row, "", TileState.PLANNED)
+
+    def word_of(self, row: int) -> str:
+        """Return the state of a tile as a word; a tile is ``bad`` if its last observation failed."""
+        last = self.state_of(row).state
+        return "bad" if last == TileState.PLANNED and self.of(row) else WORDS[last]
 
     def rows(self) -> list[int]:
         """Return the rows of the tiles of which anything was recorded, in ascending order."""

@@ -6,7 +6,7 @@ import numpy as np
 from astropy.table import QTable
 
 from rfpsurvey._common.descriptions import Column, Fact, describe, facts_of, table_of
-from rfpsurvey._field.verdicts import Outcome
+from rfpsurvey._field.verdicts import OUTCOMES, Outcome
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._survey.bookkeeping import classes_by_column, rows_by_class
 from rfpsurvey._survey.columns import PAST
@@ -33,6 +33,9 @@ STATUS = table_of(
     Column("n_impossible", "remaining visits of targets that no tile can observe"),
     Column("n_expired", "visits that are no longer requested, because no tile that remains may make them"),
 )
+LOST = Outcome.LOST_TO_A_COLLISION
+IMPOSSIBLE = (Outcome.OUT_OF_REACH, Outcome.IN_NO_FIELD, Outcome.EXCLUDED_BY_A_CONSTRAINT)
+"""Outcomes of targets that no tile can observe."""
 SIZES, MOST_AREAS = (60, 30, 15, 10, 5, 2, 1, 0.5), 20
 """Sizes of areas on the sky in degrees, and their largest number."""
 STATUS_FACTS = (
@@ -79,11 +82,13 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
         visits), and the numbers into which ``n_left`` is divided: ``n_planned``, ``n_not_assigned`` (no fiber),
         ``n_lost`` (to a collision), ``n_impossible`` (no tile can observe the target). If targets are wanted on a
         single tile or until a date, ``n_expired`` is the number of visits that are no longer requested, because no tile
-        that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles``
-        (numbers of tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right
-        ascension and declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to
-        each date), ``failures`` (positioners whose visits failed in several tiles), and ``is_planned``, which states
-        whether the last plan takes all events into account.
+        that remains may make them; they are not part of ``n_requested``. The ``meta`` contains ``tiles`` (numbers of
+        tiles by state, for each pass), ``areas`` (numbers of visits in 4 to 20 rectangles of right ascension and
+        declination, for catalogs in memory), ``progress`` (numbers of observed tiles and visits up to each date;
+        ``n_counted`` contains, for each row of the table, the visits that its ``n_observed`` counts), ``failures``
+        (positioners whose visits failed in several tiles), ``reasons`` (numbers of targets and visits that are lost,
+        impossible or expired, by reason), and ``is_planned``, which states whether the last plan takes all events into
+        account.
 
     Raises
     ------
@@ -119,8 +124,8 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     not_planned, n_added = left - planned, len(state) - len(survey.outcomes)
     # targets that were added after the last plan are not assigned
     code = np.pad(survey.outcomes["outcome"], (0, n_added), constant_values=Outcome.IN_REACH_NOT_ASSIGNED)
-    impossible = np.isin(code, (Outcome.IN_NO_FIELD, Outcome.OUT_OF_REACH, Outcome.EXCLUDED_BY_A_CONSTRAINT))
-    lost = code == Outcome.LOST_TO_A_COLLISION
+    by_reason = {OUTCOMES[outcome]: not_planned * (code == outcome) for outcome in (LOST, *IMPOSSIBLE)}
+    impossible, lost = np.isin(code, IMPOSSIBLE), code == LOST
     values = {
         "n_targets": wanted > 0,
         "n_complete": (wanted > 0) & (left == 0),
@@ -136,20 +141,23 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     expired = np.zeros_like(wanted)
     if state.limits is not None:
         expired[state.limits.row] = state.limits.expired
-        values["n_expired"] = expired
+        values["n_expired"] = by_reason["expired"] = expired
     classes, counts = classes_by_column(columns["priority"], columns["category"], wanted + expired), {}
     for column, (class_of, names) in classes.items():
         numbers = [np.bincount(class_of, weights=counted, minlength=len(names)) for counted in values.values()]
         counts[column] = names, np.column_stack(numbers).astype(np.int64)
     table = QTable(rows=rows_by_class(counts), names=(*classes, *values))
-    progress = _progress(state, *classes["priority"])
     table.meta = {
         "made_by": "survey_status",
         "instrument": survey.provenance["instrument"]["name"],
         "tiles": _tiles(survey, state),
         "areas": _areas(state.catalog, values),
-        "progress": progress,
+        "progress": _progress(state, classes, observed),
         "failures": _failures(state),
+        "reasons": [
+            {"reason": reason, "n_targets": int((visits > 0).sum()), "n_visits": int(visits.sum())}
+            for reason, visits in by_reason.items()
+        ],
         "generation": read_request(state.folder).get("generation", 1),
         "is_planned": bool(is_planned),
         "events": state.record,
@@ -225,25 +233,34 @@ def _tiles(survey: Survey, state: SurveyState) -> list[dict]:
     names = dict.fromkeys([*WORDS.values(), *([] if state.cadences is None else [PAST])], 0)
     counts = {number: {"pass": number, **names} for number in sorted({*passes.values()})}
     for row, number in passes.items():
-        last, is_bad = state.states.state_of(row).state, bool(state.states.of(row))
-        name = PAST if row in past else "bad" if last == TileState.PLANNED and is_bad else WORDS[last]
-        counts[number][name] += 1
+        counts[number][PAST if row in past else state.states.word_of(row)] += 1
     return [*counts.values()]
 
 
-def _progress(state: SurveyState, class_of: np.ndarray, names: list[str]) -> dict:
-    """Return the numbers of observed tiles, and of visits by priority, up to each date."""
+def _progress(state: SurveyState, classes: dict, observed: np.ndarray) -> dict:
+    """Return the numbers of observed tiles, of visits by priority, and of counted visits of each class, by date.
+
+    Of each target, as many visits are counted as its number ``observed``, the first ones.
+    """
     done = sorted((event for event in state.attempts if event.state == TileState.DONE), key=lambda event: event.date)
     dates = list(dict.fromkeys(event.date for event in done))
-    tiles, visits = np.zeros(len(dates), dtype=np.int64), np.zeros((len(dates), len(names)), dtype=np.int64)
+    tiles, made = np.zeros(len(dates), dtype=np.int64), np.zeros(len(observed), dtype=np.int64)
+    labels = [*classes.values(), classes["priority"]]
+    visits = [np.zeros((len(dates), len(names)), dtype=np.int64) for _, names in labels]
     for event in done:
         target, good, _ = visits_of(event, state.events.observed(event)[0])
-        tiles[dates.index(event.date)] += 1
-        visits[dates.index(event.date)] += np.bincount(class_of[target[good]], minlength=len(names))
-    visits = visits.cumsum(axis=0)
-    by_class = dict(zip(names, visits.T.tolist(), strict=True)) if len(names) > 1 else {}
+        k, target = dates.index(event.date), target[good]
+        tiles[k] += 1
+        made[target] += 1
+        counted = [target[made[target] <= observed[target]]] * len(classes)
+        for numbers, rows, (class_of, names) in zip(visits, [*counted, target], labels, strict=True):
+            numbers[k] += np.bincount(class_of[rows], minlength=len(names))
+    *counted, numbers = visits
+    counted = [v.T for v, (_, names) in zip(counted, labels, strict=False) if len(names) > 1]
+    by_priority = zip(labels[-1][1], numbers.cumsum(axis=0).T.tolist(), strict=True) if len(numbers.T) > 1 else ()
     return {
         "date": dates,
         "n_tiles": tiles.cumsum().tolist(),
-        "n_observed": {"all": visits.sum(axis=1).tolist(), **by_class},
+        "n_observed": {"all": numbers.sum(axis=1).cumsum().tolist(), **dict(by_priority)},
+        "n_counted": np.vstack([visits[0].sum(axis=1)[None], *counted]).cumsum(axis=1).tolist(),
     }

@@ -283,14 +283,23 @@ class Stage {
 
 const VIEWS = {};
 
-// All views of the page are started after the scripts of all kinds have been read.
+// All views of the page are started after the scripts of all kinds have been read; compressed data are expanded first.
 function startViews() {
   for (const section of document.querySelectorAll(".view")) {
+    const start = (data) => {
+      const live = make("div", { class: "live", role: "region", "aria-label": section.dataset.caption });
+      section.prepend(live);
+      section.classList.add("started");
+      section.view = new VIEWS[section.dataset.view](live, data);
+    };
     const data = JSON.parse(section.querySelector("script").textContent);
-    const live = make("div", { class: "live", role: "region", "aria-label": section.dataset.caption });
-    section.prepend(live);
-    section.classList.add("started");
-    section.view = new VIEWS[section.dataset.view](live, data);
+    if (data.deflated) expand(data.deflated).then(start);
+    else start(data);
   }
+}
+
+async function expand(text) {
+  const bytes = Uint8Array.from(atob(text), (character) => character.charCodeAt(0));
+  return new Response(new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"))).json();
 }
 addEventListener("DOMContentLoaded", startViews);

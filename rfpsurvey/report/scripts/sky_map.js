@@ -50,10 +50,14 @@ class SkyMapView extends SkyMapDrawing {
       this.passText = make("output", {});
       box.append(make("label", { class: "field" }, this.passText, this.slider), make("label", { class: "check" }, this.only, " only this pass"));
     }
-    const search = make("input", { type: "search", placeholder: "tile", autocomplete: "off", "aria-label": "Search for a tile" });
-    box.append(make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
-      make("label", {}, make("span", {}, "Tile "), search)));
+    box.append(this.searchField());
     return box;
+  }
+
+  searchField() {
+    const search = make("input", { type: "search", placeholder: "tile", autocomplete: "off", "aria-label": "Search for a tile" });
+    return make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
+      make("label", {}, make("span", {}, "Tile "), search));
   }
 
   setPass(pass, only) {

@@ -1,5 +1,6 @@
 """Surveys with cadences after observations, compared with a second implementation and with an integer program."""
 
+from collections import Counter
 from copy import deepcopy
 
 import numpy as np
@@ -9,6 +10,7 @@ from naive_cadences import TABLE
 from recorded_cadences import counted, naive_state, outcomes
 
 import rfpsurvey as rs
+from rfpsurvey._survey.history.nights import History
 from rfpsurvey.survey import Cadences
 
 SEEDS = [*range(20), *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(20, 100))]
@@ -33,6 +35,9 @@ def test_epochs_that_were_observed_count_and_the_rest_is_planned(seed, allocator
     state = rs.Survey.read(tmp_path / "plan").state()
     assert state.observed.tolist() == counted(targets)
     status = first.status()
+    words = [own[-1][1] for own in History(first, state).states.values()]
+    tiles = status.meta["tiles"]
+    assert Counter(words) == Counter({w: n for w in tiles[0] if w != "pass" if (n := sum(row[w] for row in tiles))})
     assert status["n_observed"][0] == sum(counted(targets))
     partly = {tile for tile, (_, name, _) in meaning.items() if name == "partly"}
     if allocator == "joint" and partly and instrument.focal_plane.positioner.handedness == "both":

@@ -116,6 +116,22 @@ def test_progress_is_that_of_the_observed_tiles(sky, survey):
     assert earlier["n_planned"][0] > status["n_planned"][0]
 
 
+def test_visits_that_are_no_longer_requested_are_not_counted_by_class(sky, survey):
+    record(survey, ["done"] * 4, ("2026-01-03", "2026-01-04", "2026-01-05", "2026-01-05"))
+    made = survey.state(sky).observed
+    several = sky.id[(made >= 2) & (sky.kind == "science")]
+    assert len(several) > 3
+    survey.record(Table({"target": several, "visits": np.ones(len(several), dtype=int)}))
+    status = survey_status(survey, survey.state(sky))
+    progress = status.meta["progress"]
+    assert progress["n_observed"]["all"][-1] == made.sum()
+    counted = progress["n_counted"]
+    assert [values[-1] for values in counted] == status["n_observed"].tolist()
+    assert counted[0][-1] == made.sum() - (made[several] - 1).sum()
+    earlier = survey_status(survey, survey.state(sky, until="2026-01-03"))
+    assert earlier["n_observed"][0] == counted[0][0]
+
+
 def test_added_tiles_and_targets_are_part_of_the_status(sky, survey):
     survey.record(Table({"tile": [9], "state": ["added"], "ra": [95.0], "dec": [23.0], "pass": [3]}))
     place = {"state": ["added"], "ra": [95.0], "dec": [23.0]}
