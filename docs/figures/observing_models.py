@@ -9,11 +9,11 @@ import rfpsurvey as rs
 
 # site, and milliseconds per 10,000 targets as tests/benchmarks/observing_models.py prints them
 CASES = {
-    "lamost": ("xinglong", [0.03, 0.03, 3.0, 2.8, 7.2]),
-    "sdss_apo": ("apache point", [0.03, 1.4, 4.7, 5.5, 9.9]),
-    "moons": ("paranal", [0.03, 0.03, 3.0, 2.7, 6.9]),
-    "desi": ("kitt peak", [0.03, 0.40, 3.4, 3.1, 7.2]),
-    "pfs": ("mauna kea", [0.03, 0.47, 3.4, 3.5, 7.5]),
+    "lamost": ("xinglong", [0.03, 0.03, 0.62, 0.62, 1.7]),
+    "sdss_apo": ("apache point", [0.03, 1.7, 2.4, 3.5, 4.6]),
+    "moons": ("paranal", [0.03, 0.03, 0.62, 0.62, 1.5]),
+    "desi": ("kitt peak", [0.03, 0.40, 1.0, 1.0, 1.9]),
+    "pfs": ("mauna kea", [0.03, 0.48, 1.1, 1.1, 2.1]),
 }
 LABELS = {
     "tangent": "tangent plane",
