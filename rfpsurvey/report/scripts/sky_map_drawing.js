@@ -121,8 +121,10 @@ class SkyMapDrawing {
       const [px, py] = stage.toScreen(this.x[k], this.y[k]);
       if (px > -margin && py > -margin && px < stage.width + margin && py < stage.height + margin) bins.at(this.bin[k]).push(k);
     }
+    // Without a GPU, hundreds of overlapping fields take longer to draw than a frame lasts.
+    this.large = r > (bins.flat().length > 400 ? 24 : 12);
     const missing = bins.pop();
-    for (const paint of r > 12 ? ["paintFields", "paintDisks"] : ["paintSquares"]) {
+    for (const paint of this.large ? ["paintFields", "paintDisks"] : ["paintSquares"]) {
       bins.forEach((rows, bin) => {
         context.fillStyle = context.strokeStyle = this.binColor(bin);
         context.beginPath();
@@ -176,7 +178,7 @@ class SkyMapDrawing {
     context.lineWidth = r > 12 ? 1.5 : 1;
     context.beginPath();
     context.setLineDash(r > 12 ? [5, 4] : []);
-    if (r > 12) for (const k of rows) this.pathOf(context, stage, k);
+    if (this.large) for (const k of rows) this.pathOf(context, stage, k);
     else this.paintSquares(context, stage, rows, r, true);
     context.stroke();
     context.setLineDash([]);
