@@ -105,7 +105,7 @@ class Projections:
         Raises
         ------
         InputError
-            If the field is not above the horizon.
+            If the field is not above the horizon, or if the wavelength of a fiber type is not known.
         """
         basis = field_basis(ra, dec, angle)
         if conditions is None:

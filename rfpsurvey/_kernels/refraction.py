@@ -107,7 +107,7 @@ def _aberrate(p, motion):
 
 
 @kernel
-def displacements(zenith, weights, center, radius, guide, fibers, keeps_scale, out):
+def displacements(zenith, weights, center, radius, guide, fibers, removes_scale, out):
     """Compute how far targets at the edge of a field are displaced by refraction, and by single parts of it.
 
     Refraction is A tan z, to first order in A. The gnomonic coordinates about the field center are those of the
@@ -127,7 +127,7 @@ def displacements(zenith, weights, center, radius, guide, fibers, keeps_scale, o
         Coefficient A (rad) at the guide wavelength.
     fibers : ndarray, shape (m,)
         Coefficients A (rad) at wavelengths of fibers.
-    keeps_scale : bool
+    removes_scale : bool
         Whether the guider removes the mean scale at the field center.
     out : ndarray, shape (4,)
         Largest displacements (gnomonic coordinates) of the mean position relative to no refraction, to the midpoint at
@@ -146,7 +146,7 @@ def displacements(zenith, weights, center, radius, guide, fibers, keeps_scale, o
                 along = wx * dx + wy * dy
                 scale = (1.0 + radius * radius) / (1.0 + along)
                 x, y = scale * (wx - dx), scale * (wy - dy)
-                removed = along - (1.0 + (wx * wx + wy * wy) / 2.0 if keeps_scale else 0.0)
+                removed = along - (1.0 + (wx * wx + wy * wy) / 2.0 if removes_scale else 0.0)
                 center_x, center_y = guide * (wx + removed * dx), guide * (wy + removed * dy)
                 at[k, 0], at[k, 1] = fibers[m] * x - center_x, fibers[m] * y - center_y
                 mean_x += weights[k] * at[k, 0]

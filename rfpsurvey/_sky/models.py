@@ -1,7 +1,7 @@
 """Models of the projection of a field, and the choice of the fastest model that is accurate enough."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
@@ -11,7 +11,7 @@ from rfpsurvey._sky.conditions import MODELS, ObservingConditions
 from rfpsurvey._sky.instants import coefficients, midpoint
 from rfpsurvey._sky.observed_field import FEWEST, NO_LIGHT, ObservedField, moments_of_exposure
 from rfpsurvey._sky.projection import FieldProjection
-from rfpsurvey._sky.wavelengths import ASSUMED_UM, Light, observed_light
+from rfpsurvey._sky.wavelengths import ASSUMED_UM, Light, ObservedLight, observed_light
 from rfpsurvey.errors import InputError, check_choice
 
 STATIC = ("tangent", "radial")
@@ -98,7 +98,7 @@ class ModelChoice:
     largest: dict[str, float]
     drift: float
     tolerance: float | None
-    light: object
+    light: ObservedLight
     aberration: float
 
     def __str__(self):
@@ -161,26 +161,20 @@ def choose_model(optics: FieldOptics, basis: np.ndarray, conditions: ObservingCo
         guide = coefficients(*sky.weather, light.guide)[0]
         plane = np.ascontiguousarray(zenith[:, :2] / zenith[:, 2:])
         refraction.displacements(
-            plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, light.keeps_scale, parts
+            plane, weights, len(seconds) // 2, np.tan(radius), guide, waves, light.removes_scale, parts
         )
     else:
         field_of_model("full", basis, optics, conditions)  # raises an error if the field is not above the horizon
     static, instant, mean, drift = MARGIN * factor * scale * parts
     stretch = MARGIN * factor * scale * np.tan(radius)  # at the edge (mm), for a change of all field angles by a factor
     static += MARGIN * abs(factor - 1) * edge / max(factor, 1.0) + np.linalg.norm(sky.motion[0, :3]) * stretch
-    largest = {
-        "tangent": static + error,
-        "radial": static,
-        "refraction": instant,
-        "dispersion": mean,
-        "full": 0.0,
-    }
+    bounds = static + error, static, instant, mean, 0.0
+    largest = {name: float(value) for name, value in zip(MODELS, bounds, strict=True)}
     aberration = SPEED * stretch * np.sqrt(1 - (basis[2] @ ECLIPTIC) ** 2) * _lacks_aberration(optics.light, conditions)
     given = conditions.numbers.tolerance
     tolerance = optics.tolerance if given is None else given
-    numbers = {name: float(value) for name, value in largest.items()}
-    choice = ModelChoice(conditions.projection, numbers, float(drift), tolerance, light, float(aberration))
-    return choice if choice.model != "auto" else ModelChoice(choice.sufficient, *list(vars(choice).values())[1:])
+    choice = ModelChoice(conditions.projection, largest, float(drift), tolerance, light, float(aberration))
+    return replace(choice, model=choice.sufficient) if choice.model == "auto" else choice
 
 
 def _lacks_aberration(light: Light, conditions: ObservingConditions) -> bool:

@@ -174,7 +174,7 @@ class ObservedField:
         self._instants = midpoint(self.conditions, self._ra) if single else Instants(self.conditions, self._ra, seconds)
         self.frames, scale = self._frames(self._instants, radius)
         self._turns = self.frames.copy()
-        if self.light.keeps_scale:
+        if self.light.removes_scale:
             self._turns[:, :2] /= scale[:, None, None]
 
     def _error(self, weights: np.ndarray, radius: float) -> float:

@@ -94,7 +94,7 @@ class ObservedLight:
     guide: float
     compensated: bool = False
     assumed: bool = False  # whether the wavelengths of the fibers are known neither for the instrument nor given
-    keeps_scale: bool = False  # whether the guider removes the mean scale
+    removes_scale: bool = False  # whether the guider removes the mean scale
 
     @property
     def distinct(self) -> list[float]:
@@ -118,7 +118,7 @@ class ObservedLight:
     def record(self) -> dict:
         """The wavelengths as plain numbers and text, for the records of results."""
         record = {"fibers_um": self.fibers, "guide_um": self.guide, "compensated": self.compensated}
-        return record | ({"guider_removes_scale": True} if self.keeps_scale else {})
+        return record | ({"guider_removes_scale": True} if self.removes_scale else {})
 
     def __str__(self):
         """Return a text with the wavelengths."""
@@ -129,7 +129,7 @@ class ObservedLight:
         return f"wavelengths: fibers {fibers}{source}, guider {self.guide:g} um{removed}"
 
 
-def observed_light(light: Light, conditions: ObservingConditions) -> "ObservedLight":
+def observed_light(light: Light, conditions: ObservingConditions) -> ObservedLight:
     """Return the wavelengths of an observation; those of the conditions replace those of the instrument."""
     given, (of_fibers, of_guider) = conditions.numbers, light._numbers
     fibers = of_fibers if given.wavelength is None else given.wavelength

@@ -1,8 +1,8 @@
 """Displacements and times of the models of the projection: ``python tests/benchmarks/observing_models.py``.
 
-It prints the table of the page on observing conditions, the times in ``docs/figures/observing_models.py``, and the
-times of tiles with and without conditions, in alternating repeats. Fields pass through the zenith, and are west of the
-meridian.
+It prints the bounds of errors and the table of the page on observing conditions, the times in
+``docs/figures/observing_models.py``, and the times of tiles with and without conditions, in alternating repeats. Fields
+pass through the zenith, and are west of the meridian.
 """
 
 from dataclasses import replace
@@ -25,7 +25,7 @@ CASES = {
     "pfs": "mauna kea",
 }
 ALTITUDES = (85, 75, 60, 45, 30, 20)
-N_TARGETS, REPEATS = 10_000, 20
+N_TARGETS, REPEATS, N_FIELDS = 10_000, 20, 500
 TIMES = {"lamost": "2026-01-15T16:00"}
 
 
@@ -92,7 +92,29 @@ def tiles(name):
     print(f"          choice {1e6 * choice:.0f} us, {100 * choice / medians['none']:.2f} %")
 
 
+def bounds():
+    """Print, for random fields, the bounds of the errors of models divided by the errors, by altitude."""
+    rng, ratios = np.random.default_rng(1), {"above": [], "below": []}
+    for k in range(N_FIELDS):
+        name = list(CASES)[k % len(CASES)]
+        instrument, altitude = rs.Instrument.preset(name), rng.uniform(20, 89)
+        conditions, center = conditions_at(name, altitude)
+        waves = rng.uniform(0.36, 1.8, 2) * u.um
+        conditions = replace(
+            conditions, wavelength=waves[0], guide_wavelength=waves[1], compensator="none",
+            pressure=rng.uniform(500, 1000) * u.hPa, exposure_time=rng.choice([300, 900, 3600]) * u.s,
+        )  # fmt: skip
+        errors = rs.instrument.compare_projections(instrument, center, conditions).table["max"].to_value(u.mm)[1:4]
+        largest = choose_model(instrument.optics, instrument.projection(center).plain.basis, conditions).largest
+        ratio = np.array([largest[model] for model in list(MODELS)[1:4]]) / errors
+        ratios["above" if altitude > 30 else "below"].append(ratio)
+    for where, values in ratios.items():
+        least, median, most = np.min(values, axis=0), np.median(values, axis=0), np.max(values, axis=0)
+        print(f"bound divided by error, {where} 30 deg: {least.round(3)}, {median.round(3)}, {most.round(3)}")
+
+
 if __name__ == "__main__":
+    bounds()
     for name in CASES:
         tiles(name)
     for name in CASES:

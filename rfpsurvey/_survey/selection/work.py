@@ -204,8 +204,9 @@ class State(Remaining):
     """
 
     def __init__(self, builder: FieldBuilder, n_realizations: int, windows: Windows | None = None):
-        self.builder, self.windows = builder, windows
+        self.builder = builder
         """The targets of the last realization."""
+        self.windows = windows
         self.spends = np.broadcast_to(np.True_, len(builder.left)) if builder.spends is None else builder.spends
         self.first = np.broadcast_to(builder.left[:, None], (len(builder.left), n_realizations))
         """Number of remaining visits of each target in each realization before the first tile."""
