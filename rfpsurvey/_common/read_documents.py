@@ -176,8 +176,8 @@ def check_rows(path: Path, rows: Sized, n_rows: int) -> None:
 
 MOST_TOML, MOST_JSON = 2**20, 2**24
 MOST_DEPTH, MOST_VALUES = 32, 100_000
-# Integers in TOML have 64 bits. Larger integers in other documents can be seeds, but must be representable as floats.
-MOST_TOML_INTEGER, MOST_INTEGER = 2**63 - 1, 2**1000
+# Seeds have up to 128 bits; all integers must be representable as floats.
+MOST_INTEGER = 2**1000
 # Matches the beginning of a key that has more than `MOST_DEPTH` parts, which are separated by dots. A match can begin
 # only at the start of a word, so that the time of the search is proportional to the length of the text.
 LONG_KEY = re.compile(rf"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){{{MOST_DEPTH}}}""")
@@ -203,7 +203,7 @@ def read_toml(path: Path) -> dict:
         raise
     except ValueError as error:  # the text is not UTF-8 or not TOML, or a number has too many digits
         raise InputError(f"{path} cannot be read as TOML: {sentence(error)}") from error
-    check_size(values, path, most_integer=MOST_TOML_INTEGER)
+    check_size(values, path)
     return values
 
 
@@ -225,9 +225,7 @@ def parse_json(text: object, what: object) -> dict:
     return content
 
 
-def check_size(
-    content: object, what: object, *, most_values: int = MOST_VALUES, most_integer: int = MOST_INTEGER
-) -> None:
+def check_size(content: object, what: object, *, most_values: int = MOST_VALUES) -> None:
     """Raise an error if a document has too many values or nested levels, or an integer that is too large.
 
     A value that occurs twice counts twice.
@@ -241,10 +239,10 @@ def check_size(
             raise InputError(f"{what}: values must be nested at most {MOST_DEPTH} levels deep, got more")
         if n > most_values:
             raise InputError(f"{what}: there must be at most {most_values} values, got more")
-        wide = next((child for child in inner if isinstance(child, int) and abs(child) > most_integer), None)
+        wide = next((child for child in inner if isinstance(child, int) and abs(child) > MOST_INTEGER), None)
         if wide is not None:
             raise InputError(
-                f"{what}: integers must be from {-most_integer:.4g} to {most_integer:.4g}, got {short(wide)}"
+                f"{what}: integers must be from {-MOST_INTEGER:.4g} to {MOST_INTEGER:.4g}, got {short(wide)}"
             )
         todo.extend((child, depth + 1) for child in inner if isinstance(child, dict | list | tuple))
 

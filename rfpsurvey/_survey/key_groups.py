@@ -12,6 +12,7 @@ from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._common.descriptions import help_of
 from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._common.settings import Option, option
+from rfpsurvey._common.units import MOST_SEED
 from rfpsurvey._instruments.margins import Margins
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._survey.key_types import Located, Part
@@ -251,7 +252,7 @@ Options = Annotated[dict, Part(AllocationOptions, AllocatorKeys)]
 SurveyOptions = Annotated[dict, Part(AllocationOptions, SurveyAllocatorKeys)]
 OptionsOnly = Annotated[dict, Part(AllocationOptions, ConstraintKeys, omit=("allocator",))]
 Conditions = Annotated[dict, Part(ObservingConditions, ConditionsKeys, from_text=lambda text: {"path": text})]
-Seed = Annotated[int, "Seed of the random numbers.", Option(low=0)]
+Seed = Annotated[int, "Seed of the random numbers.", Option(low=0, high=MOST_SEED - 1)]
 Epoch = Annotated[
     str | float | Time | None,
     "Apply proper motions to move targets to this epoch, such as 2026.5 or 2026-07-01. The default is the time of the "

@@ -107,14 +107,14 @@ def test_an_exception_without_a_message_is_named_by_its_type():
     assert [_limits.sentence(error) for error in errors] == ["MemoryError", "KeyError: 'a'", "a"]
 
 
-@pytest.mark.parametrize("digits", [400, 5000])
+@pytest.mark.parametrize("digits", [310, 5000])
 def test_integers_of_hundreds_of_digits_in_descriptions_are_refused(tmp_path, digits):
     """Such integers caused an OverflowError or a ValueError of Python."""
     path = tmp_path / "mine.toml"
     for text in (f'name = "a"\n[layout]\nrings = {{ value = {"9" * digits} }}\n', f"site = [{'9' * digits}, 0, 0]\n"):
         for read in (rs.Instrument.read, rs.ObservingConditions.read):
             found = refusal(written(path, text), read)
-            assert "integers must be from -9.223e+18" in found or "Exceeds the limit" in found
+            assert "integers must be from -1.072e+301" in found or "Exceeds the limit" in found
             assert len(found) < 300
 
 

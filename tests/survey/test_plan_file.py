@@ -176,6 +176,15 @@ def test_ids_that_are_row_numbers_remain_row_numbers(tmp_path):
     assert found.id.tolist() == sky.id.tolist()
 
 
+@pytest.mark.parametrize("seed", [None, 2**53 + 1, 2**128 - 1])
+def test_seeds_that_floats_cannot_represent_are_read_again(seed, tmp_path):
+    """Such a seed was written to plan.toml, but refused when the file was read; None draws a seed of up to 63 bits."""
+    survey = rs.plan_survey(**make_call(plain, tmp_path), allocator="balanced", rng=seed, folder=tmp_path / "plan")
+    drawn = keys_in(tmp_path / "plan").rng
+    assert seed in (None, drawn)
+    assert rs.Survey.read(tmp_path / "plan").replan().provenance["parameters"]["rng"] == survey.provenance["parameters"]["rng"] == drawn
+
+
 def by_hand(problem):
     """Assign nothing."""
     return np.full(len(problem.focal_plane), -1)
