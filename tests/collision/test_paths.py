@@ -75,7 +75,7 @@ def sdss(presets):
     return presets["sdss_apo"]
 
 
-@pytest.mark.few(2)
+@pytest.mark.few(1)
 @pytest.mark.parametrize("name", CLUSTERED)
 def test_paths_of_sdss_keep_the_separation_the_joint_ranges_and_the_speeds(sdss, name):
     plane = sdss.focal_plane

@@ -269,7 +269,7 @@ def test_states_by_date_need_times_of_tiles():
     assert rs.plan_tile(living.targets(), worn.at_time("2026-03-01"), living.CENTER).table["status"][1] == "disabled"
 
 
-@pytest.mark.few(20)
+@pytest.mark.few(8)
 @pytest.mark.parametrize("seed", range(100))
 def test_positioners_have_the_states_of_the_time_of_each_tile(seed, tmp_path):
     """No tile uses a positioner that is broken or stuck at its time; replans, joint plans and counts agree."""

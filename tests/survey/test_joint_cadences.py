@@ -90,12 +90,12 @@ def test_no_plan_exceeds_the_optimum_and_no_bound_is_below(roles, chunk):
 def test_sky_fibers_remain_and_other_options_have_no_effect():
     """On a larger scene, requirements are met, the bounds are valid, and the seed alone determines the plan."""
     rng = np.random.default_rng(4)
-    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=250, rng=4)
-    kind = np.where(np.arange(250) % 8 == 0, "standard", "science")
-    catalog = rs.Catalog(sky.coord, kind=kind, extra=QTable({"cadence": rng.choice(NAMES, 250)}))
-    night = np.sort(rng.integers(0, 12, 12))
-    table = QTable({"ra": [CENTER.ra.deg] * 12 * u.deg, "dec": [CENTER.dec.deg] * 12 * u.deg})
-    table["mjd"], table["pass"], table["skybrightness"] = 60000 + night + np.arange(12) / 50, np.arange(12), 0.3
+    sky = rs.synthetic_catalog("uniform", CENTER, 0.2 * u.deg, n_targets=120, rng=4)
+    kind = np.where(np.arange(120) % 8 == 0, "standard", "science")
+    catalog = rs.Catalog(sky.coord, kind=kind, extra=QTable({"cadence": rng.choice(NAMES, 120)}))
+    night = np.sort(rng.integers(0, 12, 8))
+    table = QTable({"ra": [CENTER.ra.deg] * 8 * u.deg, "dec": [CENTER.dec.deg] * 8 * u.deg})
+    table["mjd"], table["pass"], table["skybrightness"] = 60000 + night + np.arange(8) / 50, np.arange(8), 0.3
     tiling = rs.Tiling.from_table(table)
     options = rs.AllocationOptions("optimal", requirements=["sky=6", "standard=3"], sky_separation=5 * u.arcsec)
     robot = rs.Positioner(8.25 * u.mm, 8.25 * u.mm, 2.25 * u.mm)
@@ -114,11 +114,11 @@ def test_sky_fibers_remain_and_other_options_have_no_effect():
     check_windows(survey, tiling, catalog)
     with pytest.warns(rs.RfpsurveyWarning, match="early has no effect with cadences"):
         again = rs.plan_survey(catalog, model, tiling, **{**common, "allocator": replace(joint, early=True)})
-    for tile in range(12):
+    for tile in range(8):
         assert np.array_equal(survey._visits(tile)["target_row"], again._visits(tile)["target_row"])
 
 
-@pytest.mark.parametrize("seed", [*range(5), *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(5, 12))])
+@pytest.mark.parametrize("seed", [*range(2), *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(2, 12))])
 @pytest.mark.parametrize("goal", ["science", "distribution"])
 def test_bounds_are_valid_with_other_constraints(seed, goal):
     """Regression: prices of science fibers were subtracted twice, and targets of kept sky fibers were omitted."""

@@ -13,7 +13,7 @@ import rfpsurvey as rs
 from rfpsurvey._survey.history.nights import History
 from rfpsurvey.survey import Cadences
 
-SEEDS = [*range(20), *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(20, 100))]
+SEEDS = [*range(7), *(pytest.param(k, marks=pytest.mark.exhaustive) for k in range(7, 100))]
 pytestmark = pytest.mark.filterwarnings("ignore::rfpsurvey.RfpsurveyWarning")
 
 
