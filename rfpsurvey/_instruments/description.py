@@ -42,9 +42,9 @@ from rfpsurvey._instruments.projections import LIGHT, Projections, light_of
 from rfpsurvey._sky.radial_map import RadialMap
 from rfpsurvey.errors import InputError, check_choice, short
 
-MARGINS, MOTION, RULES = "margins.", "motion.", f"{RULES_SECTION}."
-OPTIONAL = (MARGINS, MOTION, RULES, LIGHT)
-"""Beginnings of the names of entries on which only results with margins, paths, rules or conditions depend."""
+MARGINS, MOTION, RULES, NIGHT = "margins.", "motion.", f"{RULES_SECTION}.", "night."
+OPTIONAL = (MARGINS, MOTION, RULES, LIGHT, NIGHT)
+"""Beginnings of names of entries on which only results with margins, paths, rules, conditions or nights depend."""
 
 
 class Described(Projections):

@@ -76,6 +76,10 @@ def _count(low: int, high: int) -> Kind:
     return Kind(f"a whole number from {low} to {high}", _whole(low, high))
 
 
+def _by_program(what: str, fits: Callable, unit: u.UnitBase | None = None) -> Kind:
+    return Kind(f"{what}, or a table of such values for programs", _either(fits, _table(fits)), unit)
+
+
 def _is_table(value: object) -> bool:
     return isinstance(value, dict)
 
@@ -186,6 +190,18 @@ SECTION_ENTRIES = {
         "guide_wavelength": Kind("a wavelength above 0", IS_LENGTH, u.um),
         "dispersion_compensator": _choice("yes", "no", "unknown"),
         "guider_removes": Kind("a list of names", _list(_is_text, 1)),
+    },
+    "night": {
+        "site": TEXT,
+        "exposure_time": _by_program("a time above 0", IS_LENGTH, u.s),
+        "overhead": _by_program("a time of at least 0", _number(0, MOST), u.s),
+        "airmass_exponent": _by_program("a number from 0 to 10", _number(0, 10)),
+        "max_airmass": _by_program("a number of at least 1", _number(1, MOST)),
+        "moon_illumination": _by_program("a number from 0 to 1", _number(0, 1)),
+        **dict.fromkeys(
+            ("min_altitude", "max_altitude", "hour_angle", "sun_altitude", "moon_separation", "moon_altitude"),
+            _by_program("an angle", _number(-MOST, MOST), u.rad),
+        ),
     },
 }
 ENTRIES = {f"{section}.{name}": kind for section, kinds in SECTION_ENTRIES.items() for name, kind in kinds.items()}

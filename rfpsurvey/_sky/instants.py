@@ -126,6 +126,12 @@ def _earth_rotation(utc: Time) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return table.ut1_utc(utc).to_value(u.s), x.to_value(u.rad), y.to_value(u.rad)
 
 
+def earth_rotation_time(utc: Time) -> float:
+    """Return UT1 - UTC (s) at a time; 0, an error below 0.9 s, if the installed tables do not cover the time."""
+    difference, status = _tables().ut1_utc(utc, return_status=True)
+    return float(difference.to_value(u.s)) if status >= 0 else 0.0
+
+
 def _check_covered(time: Time) -> None:
     """Raise an error unless the installed tables cover a time, with a margin of one day before and after it."""
     days = _tables()["MJD"].value

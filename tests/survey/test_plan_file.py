@@ -182,7 +182,11 @@ def test_seeds_that_floats_cannot_represent_are_read_again(seed, tmp_path):
     survey = rs.plan_survey(**make_call(plain, tmp_path), allocator="balanced", rng=seed, folder=tmp_path / "plan")
     drawn = keys_in(tmp_path / "plan").rng
     assert seed in (None, drawn)
-    assert rs.Survey.read(tmp_path / "plan").replan().provenance["parameters"]["rng"] == survey.provenance["parameters"]["rng"] == drawn
+    assert (
+        rs.Survey.read(tmp_path / "plan").replan().provenance["parameters"]["rng"]
+        == survey.provenance["parameters"]["rng"]
+        == drawn
+    )
 
 
 def by_hand(problem):
