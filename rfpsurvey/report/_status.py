@@ -13,6 +13,7 @@ from rfpsurvey._survey.history.events import WORDS, grouped
 from rfpsurvey._survey.history.nights import NO_TARGET, History, codes_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.history.status import status_facts, survey_status
+from rfpsurvey._survey.night.plan import Night, night_facts
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
 from rfpsurvey.errors import listed, number_of
@@ -83,7 +84,7 @@ MOST_CHARACTERS = 1_500_000
 """Largest length of all identifiers of targets on a page; those of changed tiles are the first."""
 
 
-def page_of_state(state: SurveyState, where: str, changes: Table | None = None) -> Page:
+def page_of_state(state: SurveyState, where: str, changes: Table | None = None, night: Night | None = None) -> Page:
     """Return a page on all nights of a survey; by default, the last plan of the rest determines the changed fibers."""
     survey = Survey.read(state.folder)
     status = survey_status(survey, state)
@@ -92,7 +93,17 @@ def page_of_state(state: SurveyState, where: str, changes: Table | None = None) 
     if unknown := changes.meta.get("unknown"):
         blocks.append(Text(f"Changed fibers of tiles without an earlier plan are not known: {listed(unknown, 20)}."))
     page.sections.insert(1, Section("Nights and tiles", blocks))
+    if night is not None:
+        page.sections.insert(1, Section(f"Plan of the night {night.summary['date']}", blocks_of_night(night)))
     return page
+
+
+def blocks_of_night(night: Night) -> list:
+    """Return the tiles of a night with their times, and the reasons of the other tiles."""
+    reasons = Counter(night.not_observed["reason"].tolist())
+    others = QTable(rows=reasons.most_common(), names=("reason", "n_tiles")) if reasons else None
+    rest = [] if others is None else [Rows("The numbers of other tiles, by the reason.", others)]
+    return [Facts("", night_facts(night)), Rows("The tiles of the night (UTC).", night.as_text(), "plan_night"), *rest]
 
 
 def status_view(history: History, status: Table, changes: Table) -> View:

@@ -16,6 +16,7 @@ from rfpsurvey._studies.compare_instruments import PARTS
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._survey.columns import survey_facts
 from rfpsurvey._survey.history.state import SurveyState
+from rfpsurvey._survey.night.plan import Night
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, part_of, selection_facts
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.tiling import Tiling
@@ -214,6 +215,7 @@ def write_report(
     plans: Mapping[str, Tile] | None = None,
     paths: "Paths | bool | None" = None,
     changes: Table | None = None,
+    night: Night | None = None,
 ) -> None:
     """Write an HTML page on a result, with figures, tables that can be sorted, and the provenance.
 
@@ -252,6 +254,8 @@ def write_report(
         For a report on a state, the differences of another plan and the plan of the survey
         (`rfpsurvey.survey.diff_surveys`), which the page shows. By default, the page shows the fibers that the last
         plan of the rest changed.
+    night : Night, optional
+        For a report on a state, the plan of a night (`rfpsurvey.night.plan_night`), which the page shows.
 
     Raises
     ------
@@ -259,8 +263,8 @@ def write_report(
         If there is no page for this type of result, if the path does not end in ``.html`` or ``.htm``, if the file
         exists and ``overwrite`` is False, if a figure is not valid, if ``plans`` have different positioners, if
         ``plans`` are given although the result is neither a `Tile` nor a table of `compare_allocators`, if ``paths``
-        are given although the result is no `Tile`, or do not lead to the poses of this tile, or if ``changes`` are
-        given although the result is no state of a survey, or are another table.
+        are given although the result is no `Tile`, or do not lead to the poses of this tile, or if ``changes`` or a
+        ``night`` are given although the result is no state of a survey, or are another object.
 
     Examples
     --------
@@ -290,6 +294,10 @@ def write_report(
             text = "changes must be the table of diff_surveys, for the state of a survey, got "
             raise InputError(f"{text}{short(changes)} for {short(result)}")
         options["changes"] = changes
+    if night is not None:
+        if not isinstance(night, Night) or not isinstance(result, SurveyState):
+            raise refusal("night must be a Night, for the state of a survey", night, Night)
+        options["night"] = night
     page = _page_of(result, "" if data is None else to_path(data).name, plans, max_rows, options)
     if title is not None:
         page = replace(page, title=str(title))  # subclasses of str can declare that they are safe HTML

@@ -5,7 +5,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from rfpsurvey._survey.night.order import METHODS, NightProblem, exact, greedy
+from rfpsurvey._survey.night.order import METHODS, NightProblem, exact, greedy, postponed
 
 
 def random_problem(seed, n_tiles=8, n_slots=8):
@@ -54,6 +54,10 @@ def test_orders_are_compared_with_all_orders(seed):
         order = method.function(problem, 60.0)
         value = check(problem, order)
         assert value <= best + 1e-9, name
+        later = postponed(problem, order)
+        assert check(problem, later) == value
+        times = [problem.length[one.tile, one.slot] for one in (order, later)]
+        assert (times[1] <= times[0]).all()
         assert order.bound >= best - 1e-9, name
         assert not order.is_optimum or value == pytest.approx(best, rel=1e-5), name
     assert exact(problem).is_optimum

@@ -1,14 +1,11 @@
 """Windows of tiles, compared with astropy on a grid of times, and with the limits at their ends."""
 
-from contextlib import ExitStack
-
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord, get_body
 from astropy.table import QTable
 from astropy.time import Time
-from astropy.utils import iers
 
 from rfpsurvey.night import REASONS, NightLimits, observing_windows
 
@@ -23,15 +20,6 @@ SITES = [
     (0, -89.99, 2800),
 ]
 TOLERANCE, TOLERANCE_MOON = 0.003, 0.01  # deg
-
-
-@pytest.fixture(autouse=True)
-def _no_network():
-    changed = {"auto_download": False, "auto_max_age": None, "iers_degraded_accuracy": "ignore"}
-    with ExitStack() as stack:
-        for name, value in changed.items():
-            stack.enter_context(iers.conf.set_temp(name, value))
-        yield
 
 
 def random_scene(seed):

@@ -1,6 +1,6 @@
 """The order in which tiles are observed in a night, with a table of methods, on a grid of slots of time."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -103,6 +103,17 @@ def greedy(problem: NightProblem, seconds: float = np.inf) -> Order:
         slot += n
     tile, slots = np.array(chosen, dtype=np.int64), np.array(slots, dtype=np.int64)
     return Order(tile, slots, problem.bound, is_optimum=bool(problem.merit[tile].sum() >= problem.bound * (1 - GAP)))
+
+
+def postponed(problem: NightProblem, order: Order) -> Order:
+    """Return the order with later times of tiles whose exposures are shorter then, as far as the next tile allows."""
+    slots, end = order.slot.copy(), np.inf
+    for k in range(len(slots) - 1, -1, -1):
+        length = problem.length[order.tile[k], slots[k] :]
+        possible = (length > 0) & (np.arange(len(length)) + slots[k] + length <= max(end, slots[k] + length[0]))
+        slots[k] += np.argmin(np.where(possible, length, np.iinfo(length.dtype).max))
+        end = slots[k]
+    return replace(order, slot=slots)
 
 
 def exact(problem: NightProblem, seconds: float = np.inf) -> Order:

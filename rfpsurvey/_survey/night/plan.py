@@ -1,5 +1,6 @@
 """The plan of a night: tiles with their start times, from windows, exposure times, merits and the state of a survey."""
 
+import os
 from dataclasses import dataclass
 
 import astropy.units as u
@@ -7,13 +8,14 @@ import numpy as np
 from astropy.coordinates import EarthLocation
 from astropy.table import QTable
 
-from rfpsurvey._common.descriptions import describe_methods
+from rfpsurvey._common.descriptions import Fact, describe_methods, facts_of
+from rfpsurvey._common.io import write_table
 from rfpsurvey._common.settings import Option, number_within
 from rfpsurvey._common.units import to_scalar, to_unit
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey._sky.time import any_year
 from rfpsurvey._survey.night.candidates import candidates_of
-from rfpsurvey._survey.night.order import METHODS, NightProblem, Order
+from rfpsurvey._survey.night.order import METHODS, NightProblem, Order, postponed
 from rfpsurvey._survey.night.settings import NightSettings, settings_of
 from rfpsurvey._survey.night.sky import noon_of
 from rfpsurvey._survey.night.windows import Windows, day_of, observing_windows, programs_of, times_of_mjd
@@ -54,10 +56,58 @@ class Night:
     def __len__(self):
         return len(self.table)
 
+    def as_text(self) -> QTable:
+        """Return the table with its times as text (UTC), as files contain it.
+
+        Returns
+        -------
+        QTable
+            The table.
+        """
+        table = self.table.copy()
+        for name in ("start", "end"):
+            table[name] = np.asarray(table[name].isot, dtype=str)
+        return table
+
+    def write(self, path: str | os.PathLike, *, overwrite: bool = False) -> None:
+        """Write the table to a file.
+
+        Parameters
+        ----------
+        path : str or path-like
+            Path that ends in ``.ecsv``, ``.fits`` or ``.parquet``.
+        overwrite : bool, optional
+            Whether to replace an existing file.
+
+        Raises
+        ------
+        InputError
+            If the ending is not known, or if the file exists and ``overwrite`` is False.
+        """
+        write_table(self.as_text(), path, overwrite=overwrite)
+
     def __repr__(self):
         s = self.summary
         words = "the optimum" if s["is_optimum"] else f"at most {s['bound']:g} possible"
         return f"<Night {s['date']}: {number_of(len(self), 'tile')}, merit {s['merit']:g} ({words})>"
+
+
+FACTS = (
+    Fact("date", "night of"),
+    Fact("n_tiles", "tiles", zero=True),
+    Fact("merit", "merit of the tiles", zero=True),
+    Fact("bound", "largest possible merit", of="merit"),
+    Fact("night", "hours from the first to the last window"),
+    Fact("exposure", "fraction in exposures", of="night"),
+    Fact("idle", "fraction without a tile", of="night", zero=True),
+    Fact("moon_illumination", "illuminated fraction of the Moon", zero=True),
+)
+"""The numbers of the plan of a night that are shown."""
+
+
+def night_facts(night: Night) -> dict:
+    """Return the labels and values of the plan of a night."""
+    return facts_of(FACTS, night.summary)
 
 
 @describe_methods(METHODS)
@@ -159,7 +209,7 @@ def plan_night(
     windows = observing_windows(tiling, settings.site, date, settings.limits, shortest=0 * u.s)
     grid = SlotGrid(windows, settings, slot_s)
     problem = NightProblem(grid.length, merits, grid.closes)
-    order = METHODS[method].function(problem, limit_s)
+    order = postponed(problem, METHODS[method].function(problem, limit_s))
     return _night(order, problem, grid, excluded, backups, windows)
 
 
@@ -176,9 +226,7 @@ class SlotGrid:
             self.exposure = np.where(np.isnan(given), self.exposure, given)
         if not (self.exposure > 0).all():
             row = int(np.argmin(self.exposure > 0))
-            raise InputError(
-                f"exposure_time must be given and above 0 for every tile, got none for tile {table['tile'][row]}"
-            )
+            raise InputError(f"exposure_time must be given for every tile, got none for tile {table['tile'][row]}")
         self.exposure, self.overhead = self.exposure / DAY, settings.of("overhead", programs) / DAY
         self.exponent, self.first = settings.of("airmass_exponent", programs), np.min(start, initial=np.inf)
         self.last = np.max(end, initial=-np.inf)
@@ -200,7 +248,7 @@ class SlotGrid:
         """Return the exposure times (days) of tiles that begin with slots, for the airmass in the middle."""
         start = self.first + slot * self.slot - self.sky.noon
         exposure = self.exposure[tile]
-        for _ in range(2):  # the airmass changes little in the time by which the first value is wrong
+        for _ in range(5):  # each value is the exposure for the airmass in the middle of the one before
             altitude = self.sky.altitude(tile, start + exposure / 2)
             exposure = self.exposure[tile] * np.sin(np.maximum(altitude, 0.01)) ** -self.exponent[tile]
         return exposure
@@ -226,7 +274,7 @@ def _night(
         "end": times_of_mjd(start + exposure),
         "exposure_time": (exposure * u.day).to(u.s),
         "airmass": 1 / np.sin(altitude),
-        "hour_angle": (angle * u.rad).to(u.hourangle),
+        "hour_angle": (angle * u.rad).to(u.deg),
         "moon_separation": (grid.sky.separation(tile, middle) * u.rad).to(u.deg),
         "merit": problem.merit[tile],
         "backups": np.array(others, dtype=str),
@@ -242,12 +290,12 @@ def _night(
     value, duration = float(problem.merit[tile].sum()), max(grid.last - grid.first, 0.0) if grid.n_slots else 0.0
     busy = np.minimum(length, grid.n_slots - order.slot).sum()
     summary = {
-        "date": windows.nights["date"][0],
+        "date": str(windows.nights["date"][0]),
         "n_tiles": len(tile),
         "merit": value,
         "bound": float(order.bound),
         "is_optimum": bool(order.is_optimum),
-        "night": duration * 24,
+        "night": float(duration * 24),
         "exposure": float(exposure.sum() / duration) if duration else 0.0,
         "idle": 1 - float(busy) / grid.n_slots if grid.n_slots else 0.0,
         "moon_illumination": float(windows.nights["moon_illumination"][0]),

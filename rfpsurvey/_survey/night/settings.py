@@ -41,7 +41,8 @@ def settings_of(instrument: Instrument | None, site: object, limits: object, **t
     named = known.pop("site", None)
     if site is None and named is None:
         raise InputError("site must be given, because the description of the instrument has none")
-    used = {name: known.pop(name, ZERO.get(name)) if times[name] is None else times[name] for name in TIMES}
+    own = {name: known.pop(name, ZERO.get(name)) for name in TIMES}
+    used = {name: own[name] if times[name] is None else times[name] for name in TIMES}
     return NightSettings(
         as_site(named if site is None else site),
         _limits_by_program(known) if limits is None else limits_of(limits),

@@ -302,7 +302,7 @@ class Windows:
         names = programs_of(self.tiling)
         known = np.isin(names, [*self.limits])
         if "" not in self.limits and not known.all():
-            other = names[~known][0]
+            other = str(names[~known][0])
             raise InputError(
                 f"limits must be given for the program {other!r}, or for the program '', got {listed(self.limits)}"
             )
