@@ -20,6 +20,7 @@ import rfpsurvey as rs
 from rfpsurvey._common.settings import Checked, Settings, help_texts, option, options_of
 from rfpsurvey._sky.conditions import SITES
 from rfpsurvey._survey.key_types import Key, keys_of
+from rfpsurvey.night import NightLimits
 
 MM, DEG, S, UM = u.mm, u.deg, u.s, u.um
 RULE = Table({"class": ["star", "any"], "last": ["bad", ""], "priority": [3.0, np.nan], "visits": [np.nan, 2]})
@@ -70,6 +71,17 @@ VALUES = {
         "early": st.booleans(),
         "objective": choices("finished"),
         "share": st.none(),
+    },
+    NightLimits: {
+        "min_altitude": st.none() | lengths(-90, 90, DEG, u.rad),
+        "max_airmass": st.none(),
+        "max_altitude": lengths(-90, 90, DEG),
+        "hour_angle": lengths(0, 12, u.hourangle),
+        "sun_altitude": lengths(-90, 90, DEG),
+        "moon_separation": lengths(0, 180, DEG),
+        "moon_illumination": numbers(0, 1),
+        "moon_altitude": lengths(-90, 90, DEG),
+        "horizon": choices(None, [[0, 10], [90, 20.5]], QTable({"azimuth": [1.0] * DEG, "altitude": [5.0] * DEG})),
     },
     rs.survey.VisitRule: {
         "visits": st.integers(0, 255),

@@ -74,7 +74,7 @@ class NightKeys:
         Exposure times are multiplied by the airmass to the power of this number.
     in_passes : bool, optional
         Observe a tile only after the tiles of earlier passes that overlap with it.
-    replan : bool, optional
+    update : bool, optional
         Plan the rest of the survey first if events were recorded after its last plan.
     slot : Quantity, optional
         Exposures begin at multiples of this time.
@@ -97,7 +97,7 @@ class NightKeys:
     merit: Annotated[str | None, f"Merit of the tiles of a survey: {help_of(MERITS)}, or the name of a plugin."] = None
     in_passes: bool = False
     method: Annotated[str, f"Method: {help_of(METHODS)}."] = option("greedy", choices=METHODS)
-    replan: bool = False
+    update: bool = False
     slot: u.Quantity[u.s] = 30 * u.s
     backups: int = option(2, low=0, high=100)
     time_limit: u.Quantity[u.s] = 60 * u.s
@@ -106,7 +106,7 @@ class NightKeys:
 
 @command(
     NightKeys,
-    "date instrument site limits.max_airmass exposure_time overhead merit method backups in_passes replan output.path "
+    "date instrument site limits.max_airmass exposure_time overhead merit method backups in_passes update output.path "
     "output.report output.folder output.format output.overwrite",
     argument="tiles",
 )
@@ -128,9 +128,9 @@ def night(keys: NightKeys) -> None:
     _app.check_outputs(output)
     if key_objects.survey_folder(keys.tiles) is not None:
         survey = rs.Survey.read(keys.tiles)
-        survey = _planned(survey, progress=sys.stderr.isatty()) if keys.replan else survey
-    elif output.folder is not None or output.report is not None or keys.replan:
-        raise rs.InputError("--folder, --report and --replan must be used with the folder of a survey")
+        survey = _planned(survey, progress=sys.stderr.isatty()) if keys.update else survey
+    elif output.folder is not None or output.report is not None or keys.update:
+        raise rs.InputError("--folder, --report and --update must be used with the folder of a survey")
     tiles = rs.Tiling.read(keys.tiles) if survey is None else survey
     instrument = keys.instrument or (None if survey is None else survey.provenance["instrument"]["name"])
     if keys.instrument is None and instrument not in rs.available_instruments():

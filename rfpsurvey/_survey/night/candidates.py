@@ -9,6 +9,7 @@ from astropy.table import QTable
 
 from rfpsurvey._common.units import to_numbers
 from rfpsurvey._instruments.instrument import Instrument
+from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._survey.columns import NOT_PLANNED
 from rfpsurvey._survey.night.merits import merit_of
 from rfpsurvey._survey.survey import Survey
@@ -16,7 +17,7 @@ from rfpsurvey._survey.tiling.centers import neighbors_within
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
 from rfpsurvey.errors import InputError
 
-NO_PLAN, WAITS, LATER = "without a plan", "waits for an earlier pass", "planned for another date"
+WAITS, LATER, NOTHING = "waits for an earlier pass", "planned for another date", "merit 0"
 """Reasons why a tile of a survey is no candidate; other tiles have their state as the reason."""
 
 
@@ -77,6 +78,8 @@ def candidates_of(
         values = given[rows]
         if not (np.isfinite(values) & (values >= 0)).all():
             raise InputError("merit must be finite and at least 0 for every tile")
+    reason[rows[values == 0]] = NOTHING
+    rows, values = rows[values > 0], values[values > 0]
     names = tiling.table["tile"]
     excluded = {str(names[row]): str(reason[row]) for row in np.flatnonzero(reason != "")}
     return Candidates(Tiling(tiling.table[rows]), values, excluded)
@@ -91,11 +94,10 @@ def _of_survey(survey: Survey, noon: float) -> tuple[QTable, np.ndarray]:
         "events", state.record if not state.events.files else None
     ):
         raise InputError(
-            f"{survey.folder} must be planned with all events that were recorded; plan the rest with Survey.replan, or "
-            "with rfpsurvey survey FOLDER --replan"
+            f"{survey.folder} must be planned with all events that were recorded; plan the rest with Survey.replan, "
+            "rfpsurvey survey FOLDER --replan, or rfpsurvey night FOLDER --update"
         )
     reason = np.array([DONE.get(word, "") for word in survey._states], dtype=object)
-    reason[[row for row, event in state.states.added.items() if row >= len(reason)]] = NO_PLAN
     if state.cadences is not None:
         times = state.given[3].times
         due = (times.utc.mjd >= noon) & (times.utc.mjd < noon + 1)
@@ -107,19 +109,20 @@ def _with_visits(survey: Survey, table: QTable, rows: np.ndarray) -> QTable:
     """Return tiles with the numbers of visits that are planned, in total and for each priority, highest first."""
     plans = [survey._visits(int(row)) for row in rows]
     of = np.repeat(np.arange(len(rows)), [len(plan) for plan in plans])
-    counted, priority = (
-        np.concatenate([np.asarray(plan[name]) for plan in plans]) if plans else np.empty(0)
-        for name in ("observed", "priority")
-    )
-    counted = counted.astype(bool) & (
-        np.concatenate([np.asarray(plan["target_row"]) for plan in plans]) >= 0 if plans else False
-    )
+    counted = np.concatenate([np.zeros(0, dtype=bool), *map(_of_science, plans)])
+    priority = np.concatenate([np.zeros(0), *(np.asarray(plan["priority"]) for plan in plans)])
     values, which = np.unique(-priority[counted], return_inverse=True)
     numbers = np.zeros((len(rows), max(1, len(values))), dtype=np.int64)
     np.add.at(numbers, (of[counted], which), 1)
     chosen = QTable(table[rows])
     chosen["n_visits"], chosen["n_by_class"] = numbers.sum(axis=1), numbers
     return chosen
+
+
+def _of_science(visits: QTable) -> np.ndarray:
+    """Return which visits of a tile are made to science targets."""
+    counted = np.asarray(visits["observed"]).astype(bool) & (np.asarray(visits["target_row"]) >= 0)
+    return counted & has_role(np.asarray(visits["kind"]), "science") if "kind" in visits.colnames else counted
 
 
 def _waiting(tiling: Tiling, done: np.ndarray, instrument: Instrument | None) -> np.ndarray:

@@ -12,15 +12,17 @@ from astropy.table import Table
 from rfpsurvey._common.settings import Settings, option
 from rfpsurvey._common.units import to_unit
 from rfpsurvey._sky.conditions import as_hour_angle
-from rfpsurvey.errors import InputError, InputTypeError, check_keywords, short
+from rfpsurvey.errors import INCONVERTIBLE, InputError, InputTypeError, check_keywords, short
 
 HIGHEST = {"low": -90, "high": 90}
 # The altitude at which rays of the center of the Sun and the Moon are horizontal is not corrected for refraction.
 DEFAULT_ALTITUDE = 30 * u.deg
 
 
-def _to_horizon(value: object) -> np.ndarray | None:
-    """Return azimuths and altitudes (deg) of a horizon, in the order of the azimuths, shape (n, 2)."""
+def _to_horizon(value: object) -> tuple[tuple[float, float], ...] | None:
+    """Return azimuths and altitudes (deg) of a horizon, in the order of the azimuths."""
+    if value is None:
+        return None
     if isinstance(value, Table):
         if lacking := [name for name in ("azimuth", "altitude") if name not in value.colnames]:
             raise InputError(
@@ -30,7 +32,7 @@ def _to_horizon(value: object) -> np.ndarray | None:
         value = np.column_stack(value)
     try:
         points = np.array(value, dtype=float)
-    except (TypeError, ValueError):
+    except INCONVERTIBLE:
         points = np.empty(0)
     if points.ndim != 2 or points.shape[1] != 2 or not len(points):
         raise InputTypeError(
@@ -39,9 +41,7 @@ def _to_horizon(value: object) -> np.ndarray | None:
     if not (np.isfinite(points).all() and (np.abs(points[:, 1]) <= 90).all()):
         raise InputError("horizon must have finite azimuths and altitudes from -90 to 90 deg")
     points[:, 0] %= 360
-    points = points[np.argsort(points[:, 0], kind="stable")]
-    points.setflags(write=False)
-    return points
+    return tuple(map(tuple, points[np.argsort(points[:, 0], kind="stable")].tolist()))
 
 
 class Numbers(NamedTuple):
@@ -107,7 +107,7 @@ class NightLimits(Settings):
     moon_separation: u.Quantity[u.deg] | None = option(None, low=0, high=180)
     moon_illumination: float | None = option(None, low=0, high=1)
     moon_altitude: u.Quantity[u.deg] = option(0 * u.deg, **HIGHEST)
-    horizon: np.ndarray | None = option(None, convert=_to_horizon)
+    horizon: tuple[tuple[float, float], ...] | None = option(None, convert=_to_horizon)
 
     def _check(self):
         if self.min_altitude is not None and self.max_airmass is not None:

@@ -36,7 +36,7 @@ class Night:
     ----------
     table : QTable
         A row for each observation, in the order of times: ``tile``, ``start`` and ``end`` of the exposure (UTC),
-        ``exposure_time``, and, in the middle of the exposure, ``airmass``, ``hour_angle`` and ``moon_separation``;
+        ``exposure_time``, and, at the midpoint of the exposure, ``airmass``, ``hour_angle`` and ``moon_separation``;
         ``merit``, and ``backups``, the names of other tiles that can be observed in its place, best ones first.
     not_observed : QTable
         Columns ``tile`` and ``reason`` of all other tiles.
@@ -150,7 +150,7 @@ def plan_night(
     exposure_time, overhead : Quantity or dict of str to Quantity, optional
         Exposure time at airmass 1, and time between two exposures, for all tiles or for each program.
     airmass_exponent : float or dict of str to float, optional
-        Exposure times are multiplied by the airmass in the middle of the exposure to the power of this number.
+        Exposure times are multiplied by the airmass at the midpoint of the exposure to the power of this number.
     merit : str or callable, optional
         Merit of the tiles of a survey: ``visits`` (planned visits, the default), ``classes`` (a visit is worth ten
         visits to targets of the next priority), the name of a plugin, or a function that returns the merits for a table
@@ -245,10 +245,10 @@ class SlotGrid:
             self.length[tile[of][fits], slots[fits]] = np.maximum(length[fits], 1)
 
     def exposure_at(self, tile: np.ndarray, slot: np.ndarray) -> np.ndarray:
-        """Return the exposure times (days) of tiles that begin with slots, for the airmass in the middle."""
+        """Return the exposure times (days) of tiles that begin with slots, for the airmass in the midpoint."""
         start = self.first + slot * self.slot - self.sky.noon
         exposure = self.exposure[tile]
-        for _ in range(5):  # each value is the exposure for the airmass in the middle of the one before
+        for _ in range(5):  # each value is the exposure for the airmass at the midpoint of the one before
             altitude = self.sky.altitude(tile, start + exposure / 2)
             exposure = self.exposure[tile] * np.sin(np.maximum(altitude, 0.01)) ** -self.exponent[tile]
         return exposure
@@ -260,8 +260,8 @@ def _night(
     tile, names = order.tile, windows.tiling.table["tile"]
     exposure = grid.exposure_at(tile, order.slot)
     start = grid.first + order.slot * grid.slot
-    middle = start + exposure / 2 - grid.sky.noon
-    altitude, _, angle = grid.sky.horizontal(tile, middle)
+    midpoint = start + exposure / 2 - grid.sky.noon
+    altitude, _, angle = grid.sky.horizontal(tile, midpoint)
     length = problem.length[tile, order.slot]
     used, others = np.zeros(len(problem.merit), dtype=bool), []
     used[tile] = True
@@ -275,7 +275,7 @@ def _night(
         "exposure_time": (exposure * u.day).to(u.s),
         "airmass": 1 / np.sin(altitude),
         "hour_angle": (angle * u.rad).to(u.deg),
-        "moon_separation": (grid.sky.separation(tile, middle) * u.rad).to(u.deg),
+        "moon_separation": (grid.sky.separation(tile, midpoint) * u.rad).to(u.deg),
         "merit": problem.merit[tile],
         "backups": np.array(others, dtype=str),
     }

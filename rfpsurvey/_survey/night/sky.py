@@ -42,7 +42,13 @@ class NightSky:
     @any_year()
     def __init__(self, site: EarthLocation, day: int, vectors: np.ndarray):
         lon = site.lon.rad
-        self.noon, self.lat, self._site = noon_of(site, day), site.lat.rad, site
+        self.noon, self.lat = noon_of(site, day), site.lat.rad
+        x, y, z = (part.to_value("m") / AU_M for part in site.geocentric)
+        self._place = (
+            np.hypot(x, y),
+            np.arctan2(y, x) - lon,
+            z,
+        )  # of the site: from the axis, of the meridian, and north
         middle = Time(self.noon + 0.5, format="mjd", scale="utc")
         tt = middle.tt
         self._to_tt, self._ut1 = tt.mjd - middle.mjd, earth_rotation_time(middle) / 86400
@@ -104,8 +110,7 @@ class NightSky:
         a, b, c, d = (self._bodies[first + k, columns] for k in (-1, 0, 1, 2))
         body = -t * (t - 1) * (t - 2) / 6 * a + (t + 1) * (t - 1) * (t - 2) / 2 * b
         body += -(t + 1) * t * (t - 2) / 2 * c + (t + 1) * t * (t - 1) / 6 * d
-        angle, x, y, z = self.meridian(time), *(part.to_value("m") / AU_M for part in self._site.geocentric)
-        across, turned = np.hypot(x, y), angle + np.arctan2(y, x) - self._site.lon.rad
+        across, turned, z = self._place[0], self.meridian(time) + self._place[1], self._place[2]
         return body - np.stack([across * np.cos(turned), across * np.sin(turned), z + 0 * turned], axis=-1)
 
     def sun(self, time: np.ndarray) -> np.ndarray:

@@ -1,6 +1,6 @@
 """Windows: the times in which tiles can be observed, and the reasons why there are none."""
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -15,7 +15,8 @@ from rfpsurvey._common.units import to_axes, to_plain, to_scalar
 from rfpsurvey._sky.conditions import as_site
 from rfpsurvey._sky.time import any_year, to_time
 from rfpsurvey._survey.night.limits import NightLimits, Numbers, limits_of
-from rfpsurvey._survey.night.sky import RATE, TURN, NightSky
+from rfpsurvey._survey.night.pieces import ALWAYS, NEVER, Pieces, crossing, cut, in_hour_angles, joined
+from rfpsurvey._survey.night.sky import NightSky
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
 from rfpsurvey.errors import InputError, check_keywords, check_whole, listed, number_of, short
 
@@ -34,94 +35,9 @@ REASONS = (
 """Reasons why a tile has no window, in the order in which limits are applied; the first is for tiles with windows."""
 SUN, OWN, LOW, HOURS, ZENITH, HORIZON, BRIGHT, MOON, SHORT = range(1, 10)
 MINUTE = 1 / 1440
-# Steps (days) in which the Moon and the horizon are sampled, time (days) to which the ends of windows are refined,
-# largest motion of the Moon as seen from a site (rad per day), and margin of distances of the Moon (rad).
-STEP_MOON, STEP_HORIZON, FINE, MOTION, MARGIN = 10 * MINUTE, MINUTE / 2, 1e-8, np.deg2rad(24), np.deg2rad(0.1)
-TOUCH = 1e-9
-"""Time between two parts of one window, which rounding errors can cause, in days."""
-
-
-class Pieces(NamedTuple):
-    """Times in which tiles can be observed: row of the tile, and start and end in days since noon."""
-
-    tile: np.ndarray
-    start: np.ndarray
-    end: np.ndarray
-
-    def of(self, keep: np.ndarray) -> "Pieces":
-        """Return some of the times."""
-        return Pieces(*(values[keep] for values in self))
-
-    def between(self, low: np.ndarray, high: np.ndarray) -> "Pieces":
-        """Return the parts that lie between times, one pair for each piece."""
-        start, end = np.maximum(self.start, low), np.minimum(self.end, high)
-        return Pieces(self.tile, start, end).of(end >= start)
-
-    def inside(self, intervals: "Pieces") -> "Pieces":
-        """Return the parts that lie in one of some intervals, which are the same for all tiles."""
-        return joined([self.between(low, high) for low, high in zip(intervals.start, intervals.end, strict=True)])
-
-
-NEVER = Pieces(np.empty(0, dtype=np.int64), np.empty(0), np.empty(0))
-ALWAYS = Pieces(np.zeros(1, dtype=np.int64), np.zeros(1), np.ones(1))
-
-
-def joined(parts: Iterable[Pieces]) -> Pieces:
-    """Return pieces in the order of tiles and times; those that touch become one."""
-    pieces = Pieces(*(np.concatenate(values) for values in zip(NEVER, *parts, strict=True)))
-    pieces = pieces.of(np.lexsort((pieces.start, pieces.tile)))
-    apart = (pieces.tile[1:] != pieces.tile[:-1]) | (pieces.start[1:] > pieces.end[:-1] + TOUCH)
-    first = np.flatnonzero(np.append(np.ones(min(1, len(pieces.tile)), dtype=bool), apart))
-    end = np.maximum.reduceat(pieces.end, first) if len(first) else pieces.end
-    return Pieces(pieces.tile[first], pieces.start[first], end)
-
-
-def cut(pieces: Pieces, allowed: Callable, step: float) -> Pieces:
-    """Return the parts of pieces in which ``allowed(tile, time)`` is true; their ends are refined between steps."""
-    if not len(pieces.tile):
-        return pieces
-    n = np.ceil((pieces.end - pieces.start) / step).astype(np.int64) + 1
-    of, last = np.repeat(np.arange(len(n)), n), np.cumsum(n) - 1
-    first = last - n + 1
-    time = (
-        pieces.start[of] + (np.arange(len(of)) - first[of]) / np.maximum(n - 1, 1)[of] * (pieces.end - pieces.start)[of]
-    )
-    ok = allowed(pieces.tile[of], time)
-    before = np.flatnonzero((ok[1:] != ok[:-1]) & (of[1:] == of[:-1]))
-    low, high, begins, tile = time[before], time[before + 1], ok[before + 1], pieces.tile[of[before]]
-    while np.max(high - low, initial=0.0) > FINE:
-        middle = (low + high) / 2
-        is_late = allowed(tile, middle) == begins
-        low, high = np.where(is_late, low, middle), np.where(is_late, middle, high)
-    edge = np.where(begins, high, low)  # an end that is allowed
-    starts = np.append(edge[begins], pieces.start[ok[first]]), np.append(of[before][begins], np.flatnonzero(ok[first]))
-    ends = np.append(edge[~begins], pieces.end[ok[last]]), np.append(of[before][~begins], np.flatnonzero(ok[last]))
-    order, start = np.lexsort(starts), starts[0]
-    return Pieces(pieces.tile[starts[1][order]], start[order], ends[0][np.lexsort(ends)])
-
-
-def in_hour_angles(sky: NightSky, pieces: Pieces, low: np.ndarray | float, high: np.ndarray | float) -> Pieces:
-    """Return the parts of pieces in which the absolute hour angle of the tile lies between two limits, one per tile."""
-    n = len(sky.ra_dec[0])
-    low, high = (np.broadcast_to(limit, n)[pieces.tile] for limit in (low, high))
-    rest = (low > 0) | (high < np.pi)
-    kept, pieces, low, high = pieces.of(~rest), pieces.of(rest), low[rest], np.minimum(high[rest], np.pi)
-    begin = sky.hour_angle(pieces.tile, pieces.start)
-    parts = [kept]
-    for turn in (0, TURN, 2 * TURN):  # from -pi to more than 3 pi
-        for least, most in ((turn - high, turn - low), (turn + low, turn + high)):
-            some = (least <= most) & (most >= begin)
-            limits = ((angle - begin)[some] / RATE + pieces.start[some] for angle in (least, most))
-            parts.append(pieces.of(some).between(*limits))
-    return joined(parts)
-
-
-def crossing(sky: NightSky, altitude: float) -> np.ndarray:
-    """Return the absolute hour angle at which tiles are at an altitude; -inf if they are lower, inf if higher."""
-    dec = sky.ra_dec[1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        cosine = (np.sin(altitude) - np.sin(sky.lat) * np.sin(dec)) / (np.cos(sky.lat) * np.cos(dec))
-    return np.where(cosine > 1, -np.inf, np.where(cosine < -1, np.inf, np.arccos(np.clip(cosine, -1, 1))))
+# Steps (days) in which the Moon and the horizon are sampled, largest motion of the Moon as seen from a site (rad per
+# day), and margin of distances of the Moon (rad).
+STEP_MOON, STEP_HORIZON, MOTION, MARGIN = 10 * MINUTE, MINUTE / 2, np.deg2rad(24), np.deg2rad(0.1)
 
 
 def windows_of_night(
@@ -168,9 +84,9 @@ def _moon_below(sky: NightSky, altitude: float, bright: Callable | None = None) 
     return cut(ALWAYS, allowed, MINUTE)
 
 
-def _above(sky: NightSky, horizon: np.ndarray, tile: np.ndarray, time: np.ndarray) -> np.ndarray:
+def _above(sky: NightSky, horizon: tuple, tile: np.ndarray, time: np.ndarray) -> np.ndarray:
     altitude, azimuth, _ = sky.horizontal(tile, time)
-    return np.rad2deg(altitude) >= np.interp(np.rad2deg(azimuth), *horizon.T, period=360)
+    return np.rad2deg(altitude) >= np.interp(np.rad2deg(azimuth), *np.transpose(horizon), period=360)
 
 
 def away_from_moon(sky: NightSky, pieces: Pieces, separation: float) -> Pieces:
@@ -280,7 +196,19 @@ class Windows:
         return to_axes(*(self.tiling.table[name].to_value(u.rad) for name in ("ra", "dec")))[0]
 
     def sky(self, night: int) -> NightSky:
-        """Return the sky of a night, for its index."""
+        """Return the sky of a night.
+
+        Parameters
+        ----------
+        night : int
+            Index of the night.
+
+        Returns
+        -------
+        NightSky
+            The sky; its attributes are in radians and days, for example ``altitude(tile, time)`` for rows of tiles and
+            times since local mean noon.
+        """
         return NightSky(self.site, self.days[night], self.vectors)
 
     @cached_property
