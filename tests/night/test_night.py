@@ -101,6 +101,17 @@ def test_the_tiles_of_a_survey_that_remain_are_candidates(survey):
     assert reasons == {"3": "observed", "4": "dropped"}
 
 
+def test_surveys_with_conditions_and_without_priorities(tmp_path):
+    sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.5 * DEG, n_targets=300, rng=1)
+    tiles = rs.Tiling.from_table(
+        QTable({"ra": [95, 95.1] * DEG, "dec": [23, 23] * DEG, "hour_angle": [0, 1] * u.hourangle})
+    )
+    tiles = tiles.with_conditions(rs.ObservingConditions("mauna kea", hour_angle=0 * u.hourangle))
+    survey = rs.plan_survey(sky, "moons", tiles, folder=tmp_path / "plan")
+    night = plan_night(survey, DATE, **HERE, merit="classes")
+    assert night.table["merit"].sum() == survey.summary["n_visits_observed"]
+
+
 def test_tiles_wait_for_earlier_passes_that_overlap(survey):
     night = plan_night(survey, DATE, **HERE, in_passes=True)
     assert {*night.table["tile"].tolist()} == {1, 2, 3, 4, 5}

@@ -110,7 +110,9 @@ def _with_visits(survey: Survey, table: QTable, rows: np.ndarray) -> QTable:
     plans = [survey._visits(int(row)) for row in rows]
     of = np.repeat(np.arange(len(rows)), [len(plan) for plan in plans])
     counted = np.concatenate([np.zeros(0, dtype=bool), *map(_of_science, plans)])
-    priority = np.concatenate([np.zeros(0), *(np.asarray(plan["priority"]) for plan in plans)])
+    has_classes = all("priority" in plan.colnames for plan in plans)
+    priority = np.concatenate([np.zeros(0), *(np.asarray(plan["priority"]) for plan in plans if has_classes)])
+    priority = priority if has_classes else np.zeros(len(of))
     values, which = np.unique(-priority[counted], return_inverse=True)
     numbers = np.zeros((len(rows), max(1, len(values))), dtype=np.int64)
     np.add.at(numbers, (of[counted], which), 1)

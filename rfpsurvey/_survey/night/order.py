@@ -18,6 +18,10 @@ SHARE, MOST_STEPS, FEW = 0.5, 400, 4000
 """Fraction of the time limit, and number of steps, in which prices are found; number of pairs of a first program."""
 
 
+PARTS, FEW_OF_PART, SECONDS_OF_PART = (4, 6, 8), 400, 1.0
+"""Numbers of tiles of the parts that are improved, and pairs and time limit (s) of their programs."""
+
+
 @dataclass(frozen=True, eq=False)
 class NightProblem:
     """Tiles that can be observed in a night, which is divided into slots of equal duration.
@@ -128,7 +132,10 @@ def exact(problem: NightProblem, seconds: float = np.inf) -> Order:
     candidates = Candidates(problem, *np.nonzero(not_dominated(problem)))
     deadline = now() + seconds
     order, bound, priced = price(candidates, first, share(deadline, SHARE))
-    value, most = problem.merit[order.tile].sum(), candidates.through(priced)
+    most = candidates.through(priced)
+    if bound > problem.merit[order.tile].sum() * (1 + GAP):
+        order = improve(candidates, most, order, share(deadline, SHARE))
+    value = problem.merit[order.tile].sum()
     for n in (FEW, len(most)):  # a good order from the most promising pairs, and then the proof
         if bound > value * (1 + GAP):
             rest = np.zeros(len(most), dtype=bool)
@@ -227,6 +234,33 @@ def price(candidates: Candidates, first: Order, deadline: float) -> tuple[Order,
             break
         price = np.maximum(price - factor * (limit - value) / (step @ step) * step, 0)
     return best, min(bound * (1 + ROUNDING), problem.bound), kept
+
+
+def improve(candidates: Candidates, most: np.ndarray, order: Order, deadline: float) -> Order:
+    """Replace parts of an order by better ones, which programs for single parts of the night find.
+
+    ``most`` is the upper limit of the merit of all orders that contain each pair. A program contains the most promising
+    pairs that fit into the time of some successive tiles, without the tiles of the rest of the night.
+    """
+    merit, length = candidates.problem.merit, candidates.problem.length[candidates.tile, candidates.slot]
+    for n in PARTS:
+        k = 0
+        while k < max(1, len(order.tile) - n // 2) and left(deadline) > 0:
+            inside = np.zeros(len(order.tile), dtype=bool)
+            inside[k : k + n] = True
+            first = order.slot[k] if k else 0
+            last = order.slot[k + n] if k + n < len(order.tile) else np.inf
+            fits = (candidates.slot >= first) & (candidates.slot + length <= last)
+            rows = np.flatnonzero(fits & ~np.isin(candidates.tile, order.tile[~inside]))
+            rows = rows[np.argsort(-most[rows], kind="stable")[:FEW_OF_PART]]
+            part = Order(order.tile[inside], order.slot[inside], np.inf)
+            own = Candidates(candidates.problem, candidates.tile[rows], candidates.slot[rows])
+            found, _ = solve(own, part, np.inf, min(deadline, now() + SECONDS_OF_PART))
+            if merit[found.tile].sum() > merit[part.tile].sum() * (1 + GAP):
+                tile, slot = np.append(order.tile[~inside], found.tile), np.append(order.slot[~inside], found.slot)
+                order = Order(tile[np.argsort(slot)], np.sort(slot), np.inf)
+            k += n // 2
+    return order
 
 
 def solve(candidates: Candidates, first: Order, bound: float, deadline: float) -> tuple[Order, float]:

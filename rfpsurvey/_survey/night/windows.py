@@ -18,7 +18,7 @@ from rfpsurvey._survey.night.limits import NightLimits, Numbers, limits_of
 from rfpsurvey._survey.night.pieces import ALWAYS, NEVER, Pieces, crossing, cut, in_hour_angles, joined
 from rfpsurvey._survey.night.sky import NightSky
 from rfpsurvey._survey.tiling.tiling import Tiling, as_tiling
-from rfpsurvey.errors import InputError, check_keywords, check_whole, listed, number_of, short
+from rfpsurvey.errors import InputError, check_keywords, check_whole, listed, number_of, refusing, short
 
 REASONS = (
     "",
@@ -350,7 +350,14 @@ def times_of_mjd(mjd: np.ndarray) -> Time:
 def _mjd_of(table: QTable, name: str) -> np.ndarray:
     """Return times in a column of a table of tiles as modified Julian dates; NaN where there is none."""
     column = table[name]
-    if not isinstance(column, Time) and np.asarray(column).dtype.kind in "fiu":
-        return np.ma.filled(np.ma.asarray(to_plain(column), dtype=float), np.nan)
-    times = to_time(column if isinstance(column, Time) else np.asarray(to_plain(column)).astype(str), name, gaps=True)
-    return np.ma.filled(np.ma.asarray(times.utc.mjd, dtype=float), np.nan)
+    if isinstance(column, Time):
+        return np.ma.filled(np.ma.asarray(column.utc.mjd, dtype=float), np.nan)
+    values = to_plain(column, name)
+    if values.dtype.kind in "fiu":
+        return values.astype(float)
+    known, times = np.char.strip(values.astype(str)) != "", np.full(len(values), np.nan)
+    if known.any():
+        texts = values[known].tolist()
+        with refusing(f"{name} must contain dates and times (UTC) such as 2027-01-04T03:00:00", texts, list):
+            times[known] = Time(texts).utc.mjd
+    return times
