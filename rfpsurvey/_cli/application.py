@@ -30,7 +30,7 @@ COMMANDS = {
     "export": "Write tiles of a survey to files in the format of an observatory, one file for each tile.",
     "instruments": "List all instruments, describe one instrument with the source of every value, or compare several "
     "instruments.",
-    "night": "Choose the tiles that are observed in a night, with their times.",
+    "night": "Choose the tiles of a survey that are observed in a night, with their times, and write them to files.",
     "paths": "Plan paths of all arms between the folded poses and a plan, and prove that no arms collide.",
     "plan": "Assign the targets of a field to fibers, and find the arms that collide.",
     "potential": "Find the tiles and positioners that reach each point of a catalog of random points.",

@@ -131,8 +131,8 @@ def with_unit(values: np.ndarray, unit: str | None) -> np.ndarray | u.Quantity:
 DECIMALS = {u.deg: 6, u.mm: 4, u.arcsec: 3}
 
 
-def to_html(result: object, facts: dict, table: object = None) -> str:
-    """Return HTML that shows a result: a heading, properties of the result, and the first rows of a table.
+def to_html(result: object, facts: dict, table: object = None, figure: str = "") -> str:
+    """Return HTML that shows a result: a heading, a figure, properties, and the first rows of a table.
 
     Parameters
     ----------
@@ -142,6 +142,8 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
         Names and values of properties of the result. Values that are not numbers or short text are omitted.
     table : QTable, optional
         Table whose first rows are shown.
+    figure : str, optional
+        Figure as HTML (`rfpsurvey._common.small_figures`).
 
     Returns
     -------
@@ -154,7 +156,7 @@ def to_html(result: object, facts: dict, table: object = None) -> str:
         if isinstance(value, int | float | str) and len(str(value)) < 200
     )
     shown = "" if table is None else f"<div>{rounded(table)._repr_html_()}</div>"
-    return f"<p>{escape(repr(result).strip('<>'))}</p><table>{rows}</table>{shown}"
+    return f"<p>{escape(repr(result).strip('<>'))}</p>{figure}<table>{rows}</table>{shown}"
 
 
 def show(result: object, **options: object) -> object:

@@ -16,6 +16,7 @@ from typing import Annotated, Any, ClassVar, Union, get_args, get_origin
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._common.units import ByValue, to_scalar, to_unit, value_of
 from rfpsurvey.errors import (
     LARGEST,
@@ -354,6 +355,9 @@ class Settings(Checked, ByValue):
             The names.
         """
         return [setting.name for setting in options_of(type(self))[1:] if not setting.is_default(self)]
+
+    def _repr_html_(self) -> str:
+        return to_html(self, {setting.name: _shown(getattr(self, setting.name)) for setting in options_of(type(self))})
 
     def __repr__(self):
         first = getattr(self, options_of(type(self))[0].name)

@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from functools import cached_property
 
+import astropy.units as u
 import numpy as np
 from astropy.table import MaskedColumn, QTable
 from astropy.utils.masked import Masked
@@ -11,6 +12,7 @@ from astropy.utils.masked import Masked
 from rfpsurvey._assignment.allocation import IDLE_REASONS, IdleReasons, find_idle_reasons
 from rfpsurvey._assignment.constraints.motion import PATHS
 from rfpsurvey._common.descriptions import Column, describe, make_table, table_of, with_unit
+from rfpsurvey._common.small_figures import BLUE, GRAY, RED, dots
 from rfpsurvey._common.units import to_lonlat
 from rfpsurvey._field.plan import FieldPlan
 from rfpsurvey._field.verdicts import OUTCOMES, Outcome, outcome_codes
@@ -368,3 +370,14 @@ def _same(a, b) -> bool:
 def collision_shape(summary: dict) -> str:
     """Return the arm model of a summary as text for a count of collisions; empty for tiles of earlier versions."""
     return f" (arm model: {summary['arm_model']})" if "arm_model" in summary else ""
+
+
+def figure_of(table: QTable) -> str:
+    """Return a small figure of the focal plane of a tile for notebooks."""
+    assigned, colliding = np.asarray(table["status"]) == "assigned", np.asarray(table["in_collision"])
+    groups = {
+        "other positioners": (GRAY, ~assigned & ~colliding),
+        "assigned": (BLUE, assigned & ~colliding),
+        "in collision": (RED, colliding),
+    }
+    return dots(np.column_stack([table[axis].to_value(u.mm) for axis in "xy"]), groups)

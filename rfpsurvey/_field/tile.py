@@ -14,7 +14,7 @@ from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import plot, show, to_html
 from rfpsurvey._field.format_table import cards_of, check_tile, read_tile
 from rfpsurvey._field.plan_files import write_plan
-from rfpsurvey._field.table import TableOfTile, TargetsOfField, collision_shape, same_table
+from rfpsurvey._field.table import TableOfTile, TargetsOfField, collision_shape, figure_of, same_table
 from rfpsurvey._field.verdicts import OUTCOMES, completeness_table
 from rfpsurvey._sky.time import to_time
 
@@ -376,7 +376,7 @@ class Tile:
     __hash__ = None
 
     def _repr_html_(self) -> str:
-        return to_html(self, self.summary, self.table)
+        return to_html(self, self.summary, self.table, figure_of(self.table))
 
     def __repr__(self):
         s = self.summary

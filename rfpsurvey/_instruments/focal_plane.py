@@ -120,6 +120,8 @@ class FocalPlane(Modular):
     def __len__(self):
         return len(self.id)
 
+    _repr_html_ = _tables.html_of
+
     def __repr__(self):
         n_obstacles = len(self.arrays.obstacles) + len(self.arrays.obstacle_polygons)
         return f"<FocalPlane of {len(self)} positioners, {n_obstacles} obstacles>"

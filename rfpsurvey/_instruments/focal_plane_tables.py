@@ -10,6 +10,8 @@ import astropy.units as u
 import numpy as np
 from astropy.table import QTable, Table
 
+from rfpsurvey._common.descriptions import to_html
+from rfpsurvey._common.small_figures import BLUE, RED, dots
 from rfpsurvey._common.units import check_unique, to_flags, to_labels, to_mm, to_plain, to_points_mm, to_unit
 from rfpsurvey._instruments.margins import Margins, check_margins, to_polygons
 from rfpsurvey._instruments.outline import ArmOutline
@@ -370,3 +372,15 @@ def _positioner_from_meta(meta) -> Positioner:
         raise
     except (TypeError, ValueError) as error:
         raise InputError(f"the positioner in the table's meta cannot be read: {error}") from None
+
+
+def figure_of(plane) -> str:
+    """Return a small figure of the positioners of a `FocalPlane` for notebooks."""
+    disabled = np.zeros(len(plane), dtype=bool) if plane.disabled is None else np.asarray(plane.disabled)
+    groups = {"positioners": (BLUE, ~disabled)} | ({"disabled": (RED, disabled)} if disabled.any() else {})
+    return dots(plane.arrays.xy, groups)
+
+
+def html_of(plane) -> str:
+    """Return the representation of a `FocalPlane` in notebooks."""
+    return to_html(plane, {"positioner": repr(plane.positioner).strip("<>")}, figure=figure_of(plane))

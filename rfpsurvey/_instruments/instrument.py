@@ -23,6 +23,7 @@ from rfpsurvey._instruments.description import OPTIONAL, Described
 from rfpsurvey._instruments.entries import NEED
 from rfpsurvey._instruments.facts import Written, fact_texts, field_angles, find_facts, read_instrument
 from rfpsurvey._instruments.focal_plane import FocalPlane
+from rfpsurvey._instruments.focal_plane_tables import figure_of
 from rfpsurvey._instruments.layouts import UNUSED, ArmModels
 from rfpsurvey._instruments.states import LISTED, States, apply_entry, at_one_time, moments_at
 from rfpsurvey._sky.radial_map import RadialMap
@@ -112,12 +113,11 @@ class Instrument(ArmModels, AsBuilt, Described, States, Written):
         object.__setattr__(self, "plate_scale", plane.plate_scale)
 
     def __repr__(self):
-        field = f"field {2 * self.field_radius.to_value(u.deg):.4g} deg across"
-        size = number_of(len(self.focal_plane), "positioner")
-        return f"<Instrument {self.name!r}: {size}, {field}, layout {self.layout}>"
+        size, across = number_of(len(self.focal_plane), "positioner"), 2 * self.field_radius.to_value(u.deg)
+        return f"<Instrument {self.name!r}: {size}, field {across:.4g} deg across, layout {self.layout}>"
 
     def _repr_html_(self):
-        return to_html(self, fact_texts(self.facts()))
+        return to_html(self, fact_texts(self.facts()), figure=figure_of(self.focal_plane))
 
     @property
     def field_radius(self) -> u.Quantity:

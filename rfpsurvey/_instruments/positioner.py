@@ -6,7 +6,9 @@ from functools import cached_property, partial
 import astropy.units as u
 import numpy as np
 
+from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._common.settings import Checked, option
+from rfpsurvey._common.small_figures import ring
 from rfpsurvey._common.units import ByValue, to_points_mm, to_radian
 from rfpsurvey._instruments.joints import PositionerNumbers
 from rfpsurvey._instruments.outline import ArmOutline
@@ -123,6 +125,10 @@ class Positioner(Checked, ByValue):
         check_ranges(self)
         if self.home is not None and not self.numbers.joints_allowed(*self.numbers.home[:, None])[0]:
             raise InputError(f"home must lie within the joint limits, got {self.home}")
+
+    def _repr_html_(self) -> str:
+        inner, outer = self.inner_radius, self.outer_radius
+        return to_html(self, {"patrol area": f"{inner:.5g} to {outer:.5g}"}, figure=ring(inner.value, outer.value))
 
     def __repr__(self):
         numbers = self.numbers

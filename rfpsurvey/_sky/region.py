@@ -7,11 +7,13 @@ import astropy.units as u
 import numpy as np
 from astropy.coordinates import SkyCoord
 
+from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._common.read_tables import parse_number
+from rfpsurvey._common.small_figures import BLUE, LIGHT, around, dots, points_in_cap
 from rfpsurvey._common.units import ByValue, to_center, to_plain, to_scalar, to_vectors
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky import shapes as _shapes
-from rfpsurvey._sky.shapes import is_inside
+from rfpsurvey._sky.shapes import circle_around, is_inside
 from rfpsurvey.errors import INCONVERTIBLE, InputError, check_choice, refusal
 
 FORMS = {
@@ -281,6 +283,14 @@ class Region(ByValue):
             If ``coord`` is not a SkyCoord.
         """
         return is_inside(self, to_vectors(coord))
+
+    def _repr_html_(self) -> str:
+        center, radius = circle_around(self)
+        points = points_in_cap(center, radius, 4000)
+        inside = is_inside(self, points)
+        outside = {} if inside.all() else {"points outside": (LIGHT, ~inside)}
+        figure = dots(around(points, center), outside | {"points inside": (BLUE, inside)})
+        return to_html(self, {"kind": self.kind, "area": f"{self.area:.6g}"}, figure=figure)
 
     def __repr__(self):
         return f"<Region {self.kind} of {self.area.value:.4g} deg2>"

@@ -12,6 +12,7 @@ from astropy.table import QTable, Table, vstack
 from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import describe, plot, show, to_html, with_unit
 from rfpsurvey._common.folder import read_index
+from rfpsurvey._common.small_figures import figure_of_tiles
 from rfpsurvey._field.verdicts import OUTCOMES
 from rfpsurvey._survey.columns import NOT_PLANNED, OUTCOME, TILES
 from rfpsurvey._survey.folder import JOINT, TABLES, read_request, read_stored_table, read_visits
@@ -278,7 +279,7 @@ class Survey(Living):
         return show(self, height=height)
 
     def _repr_html_(self) -> str:
-        return to_html(self, self.summary, self.tiles)
+        return to_html(self, self.summary, self.tiles, figure_of_tiles(self.tiles))
 
     def __repr__(self):
         s = self.summary

@@ -66,7 +66,7 @@ def test_instruments(call):
     assert "positioner.central_arm = 8.25 mm\n    published: Chen et al." in out
     assert "assumed: " in out
     assert re.search(r"^field shape +circle$", out, re.MULTILINE)
-    assert re.search(r"^published values +12$", out, re.MULTILINE)
+    assert re.search(r"^published values +14$", out, re.MULTILINE)
 
 
 def test_instruments_side_by_side(call):

@@ -256,7 +256,7 @@ WHOLE = "--rng must be a whole number, got"
         ("""plan --set "options.time_limit=['1 s', '2 m']" """, TIME),
         ("plan --set options.time_limit=1_0", TIME),
         ("plan --set 'options.time_limit=\u0661 min'", TIME),
-        ("survey --set rng=-1", "rng must be a whole number of at least 0, got -1"),
+        ("survey --set rng=-1", "rng must be a whole number from 0 to 340282366920938463463374607431768211455, got -1"),
         ("survey --workers 0", "--workers must be a whole number of at least 1, got 0"),
         ("plan --rng two", f"{WHOLE} 'two'"),
         ("survey --rng 1_0", f"{WHOLE} '1_0'"),

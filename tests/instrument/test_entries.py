@@ -28,6 +28,8 @@ plate_scale = { value = 60.0, unit = "um / arcsec", status = "assumed", source =
 targets_per_fiber = { value = 2.0, status = "assumed", source = "s" }
 [light]
 band = { value = [0.4, 1.0], unit = "um", status = "assumed", source = "s" }
+[night]
+overhead = { value = 100.0, unit = "s", status = "assumed", source = "s" }
 """
 
 

@@ -14,7 +14,16 @@ from rfpsurvey._common import io as _io
 from rfpsurvey._common.descriptions import to_html
 from rfpsurvey._common.files import lacks_units
 from rfpsurvey._common.read_tables import read_table
-from rfpsurvey._common.units import to_direction, to_labels, to_lonlat, to_plain, to_scalar, to_unit, to_vectors
+from rfpsurvey._common.small_figures import figure_of_tiles
+from rfpsurvey._common.units import (
+    to_direction,
+    to_labels,
+    to_lonlat,
+    to_plain,
+    to_scalar,
+    to_unit,
+    to_vectors,
+)
 from rfpsurvey._sky import shapes as _healpix
 from rfpsurvey._sky.arrays import SkyIndex
 from rfpsurvey._sky.conditions import ObservingConditions, check_conditions
@@ -95,7 +104,7 @@ class Tiling:
         return len(self.table)
 
     def _repr_html_(self) -> str:
-        return to_html(self, self.summary, self.table)
+        return to_html(self, self.summary, self.table, figure_of_tiles(self.table))
 
     def __repr__(self):
         n = len(np.unique(self.table["pass"]))
