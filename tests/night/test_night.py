@@ -177,11 +177,17 @@ def test_the_descriptions_of_instruments_determine_a_night(name, presets):
     assert isinstance(night, Night)
 
 
+def with_column(**columns):
+    table = table_of(1)
+    table.update(columns)
+    return table
+
+
 WRONG = [
     ({"date": "tomorrow"}, "date must be a Time"),
     ({"site": None}, "site must be given"),
     ({"site": "moon"}, "unknown site 'moon'"),
-    ({"exposure_time": None}, "exposure_time must be given for every tile, got none for tile 7"),
+    ({"exposure_time": None}, "exposure_time must be from above 0 to 86400 s for every tile, got none for tile 7"),
     ({"exposure_time": 0 * u.s}, "exposure_time must be a number above 0"),
     ({"exposure_time": 3 * u.m}, "exposure_time must have a unit"),
     ({"overhead": -1 * u.s}, "overhead must be a number from 0"),
@@ -198,8 +204,11 @@ WRONG = [
     ({"tiles": 3}, "tiles must be a Tiling"),
     (
         {"tiles": rs.Tiling.from_table(QTable({"ra": [1] * DEG, "dec": [2] * DEG, "merit": [-1.0]}))},
-        "merit must be finite",
+        "merit must be one finite number of at least 0 for every tile",
     ),
+    ({"tiles": with_column(merit=np.ones((60, 2)))}, "merit must be one finite number of at least 0 for every tile"),
+    ({"tiles": with_column(exposure_time=np.full(60, np.inf) * u.s)}, "got inf for tile 7"),
+    ({"tiles": with_column(exposure_time=np.full(60, -1) * u.s)}, "got -1 for tile 7"),
 ]
 
 

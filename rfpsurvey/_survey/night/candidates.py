@@ -75,9 +75,9 @@ def candidates_of(
         given = (
             to_numbers(table["merit"], "merit", unitless=True) if "merit" in table.colnames else np.ones(len(tiling))
         )
+        if given.ndim > 1 or not (np.isfinite(given) & (given >= 0)).all():
+            raise InputError("merit must be one finite number of at least 0 for every tile")
         values = given[rows]
-        if not (np.isfinite(values) & (values >= 0)).all():
-            raise InputError("merit must be finite and at least 0 for every tile")
     reason[rows[values == 0]] = NOTHING
     rows, values = rows[values > 0], values[values > 0]
     names = tiling.table["tile"]

@@ -224,9 +224,12 @@ class SlotGrid:
         if "exposure_time" in table.colnames:
             given = to_unit(table["exposure_time"], u.s, "exposure_time")
             self.exposure = np.where(np.isnan(given), self.exposure, given)
-        if not (self.exposure > 0).all():
-            row = int(np.argmin(self.exposure > 0))
-            raise InputError(f"exposure_time must be given for every tile, got none for tile {table['tile'][row]}")
+        is_valid = (self.exposure > 0) & (self.exposure <= DAY)
+        if not is_valid.all():
+            row = int(np.argmin(is_valid))
+            got = "none" if np.isnan(self.exposure[row]) else f"{self.exposure[row]:g}"
+            text = f"from above 0 to {DAY:g} s for every tile, got {got} for tile {table['tile'][row]}"
+            raise InputError(f"exposure_time must be {text}")
         self.exposure, self.overhead = self.exposure / DAY, settings.of("overhead", programs) / DAY
         self.exponent, self.first = settings.of("airmass_exponent", programs), np.min(start, initial=np.inf)
         self.last = np.max(end, initial=-np.inf)
