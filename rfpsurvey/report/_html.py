@@ -171,6 +171,7 @@ PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both
 LETTER, GAP = 0.68, 2  # width of a letter divided by the size of the text, and number of letters between columns
 LARGE_PRINT, SMALL_PRINT, LEAST_PRINT = 7.5, 6.5, 4.0  # sizes of text (pt); below the second, the paper is wide
 MOST_LETTERS = 30  # longer cells are broken into several lines
+MOST_OPEN = 100  # tables with more rows are closed until the summary above them is clicked, except on paper
 MAX_ROWS = 1000  # largest number of rows that the page shows of a table, by default
 
 
@@ -222,6 +223,7 @@ def _template() -> "Template":
         "page.html.jinja",
         globals={
             "LEAST_PRINT": LEAST_PRINT,
+            "MOST_OPEN": MOST_OPEN,
             "groupby": groupby,
             "style": _asset("page.css"),
             "view_style": _asset("scripts/view.css"),

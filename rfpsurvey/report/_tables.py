@@ -184,7 +184,10 @@ def page_of_designs(table: Table, where: str) -> Page:
     ]
     about = [f"{name.replace('_', ' ')}: {MEANINGS[name]}." for name in table.colnames if name in MEANINGS]
     sections[-1].blocks.append(Text(about))
-    return Page("Designs", number_of(len(table), "design"), "", {}, sections, without_private(table.meta))
+    best = number_of(int(np.count_nonzero(table["pareto"])), "design")
+    goals = " and ".join(f"{aim} {name.replace('_', ' ')}" for name, aim in table.meta["objectives"].items())
+    lead = f"The Pareto front has {best}; the objectives are {goals}."
+    return Page("Designs", number_of(len(table), "design"), lead, {}, sections, without_private(table.meta))
 
 
 def _designs(table):

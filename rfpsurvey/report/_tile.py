@@ -74,7 +74,8 @@ def page_of_tile(
         highlights = {"targets in the field": summary["n_in_field"], **highlights}
     result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
     result += [] if paths is None else [motion_facts(paths)]
-    sections = [Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])])]
+    sections = [Section("Focal plane", [_view(tile, where, plans, max_rows, paths)])]  # on the first screen
+    sections.append(Section("Request and result", [*result, Facts("Computing times in seconds", summary["seconds"])]))
     if summary.get("unmet") or recorded_constraints(parameters):
         verdicts = [] if tile.rules is None else tile.rules["verdict"].tolist()
         unknown = number_of(verdicts.count(NOT_CHECKABLE), "constraint")
@@ -88,7 +89,6 @@ def page_of_tile(
         sections.append(Section("Constraints", blocks))
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
-    sections.append(Section("Focal plane", [_view(tile, where, plans, max_rows, paths)]))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))
     lead = "; ".join([counts, f"{arms} in collision{collision_shape(summary)}", *tile_problems(tile)]) + "."
     if parameters["allocator"] == "scored":

@@ -64,8 +64,8 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     model |= {"columns of the catalog": columns} if columns else {}
     after = "The table lists the completeness after each pass, for each priority class and for all targets."
     sections = [
-        Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("On the sky", [sky_view(survey.tiles, survey.provenance["parameters"]["radius_deg"], pictures[:1])]),
+        Section("Result", [Facts("", survey_facts(survey) | model)]),
         Section("Completeness", [pictures[1], Rows(after, survey.completeness, "Survey.completeness")]),
         Section("Tiles", [Rows("The tiles of the survey in the order of the tiling.", survey.tiles, where)]),
     ]
@@ -73,7 +73,7 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         blocks = [Text(list(s["unmet"]))] if s.get("unmet") else []
         if survey.rules is not None:
             blocks.append(Rows("Number of tiles with each verdict, for each constraint.", survey.rules))
-        sections.insert(1, Section("Constraints", blocks))
+        sections.insert(2, Section("Constraints", blocks))
     visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')}"
     lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)
@@ -92,7 +92,7 @@ def page_of_tiling(tiling: Tiling, where: str) -> Page:
         Section("Tiles", [rows]),
     ]
     if summary:
-        sections.insert(0, Section("Result", [Facts("", tiling_facts(tiling))]))
+        sections.insert(1, Section("Result", [Facts("", tiling_facts(tiling))]))
     title = f"Tiles for {summary['instrument']}" if "instrument" in summary else "Tiles"
     n = len(set(table["pass"].tolist()))
     lead = f"The tiling has {number_of(len(tiling), 'tile')} in {number_of(n, 'pass', 'passes')}."

@@ -70,3 +70,6 @@ function noteHiddenColumns(region) {
 }
 
 for (const region of document.querySelectorAll(".scroll")) noteHiddenColumns(region);
+
+// Closed tables are open on paper.
+addEventListener("beforeprint", () => document.querySelectorAll("main details:not(.live *)").forEach((one) => { one.open = true; }));

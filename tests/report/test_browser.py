@@ -151,3 +151,12 @@ def test_heads_and_numbers_of_a_table_end_at_the_same_place(visit, tmp_path):
     assert len(ends) == 3
     for head, cell in ends:
         assert head == pytest.approx(cell, abs=1)
+
+
+@pytest.mark.parametrize(("n", "is_open"), [(100, True), (101, False)])
+def test_long_tables_are_closed_except_on_paper(visit, tmp_path, n, is_open):
+    rs.write_report(QTable({"number": np.arange(n)}), tmp_path / "page.html")
+    page = visit(tmp_path / "page.html")
+    assert page.locator("table.rows").is_visible() == is_open
+    page.pdf()
+    assert page.locator("table.rows").is_visible()

@@ -109,6 +109,30 @@ def test_the_coordinates_under_the_pointer_are_shown(page):
     assert page.locator(".place").inner_text() == ""
 
 
+def test_the_pointer_does_not_draw_the_plot_again(page, tiles):
+    reset(page)
+    box = page.locator("canvas").bounding_box()
+    page.wait_for_timeout(100)
+    page.evaluate(
+        f"(() => {{ const v = {VIEW}, own = v.paint; v.n_paints = 0; "
+        "v.paint = (...all) => { v.n_paints += 1; own.apply(v, all); }; })()"
+    )
+    pixels = f"{VIEW}.stage.canvas.toDataURL()"
+    page.mouse.move(box["x"] + 1, box["y"] + 1)
+    plain, seen = page.evaluate(pixels), set()
+    for row in (an_assigned(tiles["lamost_rule"], 20), an_assigned(tiles["lamost_rule"], 40)):
+        page.mouse.move(*point_of(page, row["id"]))
+        page.wait_for_timeout(50)
+        assert page.evaluate(f"{VIEW}.id[{VIEW}.stage.hovered]") == row["id"]
+        seen.add(page.evaluate(pixels))
+    assert len({plain, *seen}) == 3
+    page.mouse.move(box["x"] + 1, box["y"] + 1)
+    page.wait_for_timeout(50)
+    assert page.evaluate(f"{VIEW}.stage.hovered") == -1
+    assert page.evaluate(pixels) == plain
+    assert page.evaluate(f"{VIEW}.n_paints") == 0
+
+
 def test_dragging_moves_the_plot(page):
     reset(page)
     page.get_by_role("button", name="Zoom in").click()

@@ -60,16 +60,19 @@ class Scatter {
       context.textAlign = align;
       label(context, stage, text, px, py);
     }
-    for (const [k, width] of [[stage.hovered ?? -1, 1], [owner.selected, 2.5]]) {
-      if (k < 0) continue;
-      const [px, py] = stage.toScreen(...this.points[k]);
-      context.strokeStyle = stage.color("c-mark");
-      context.lineWidth = width;
-      context.beginPath();
-      context.arc(px, py, 9, 0, 2 * Math.PI);
-      context.stroke();
-    }
+    if (owner.selected >= 0) this.paintRing(context, stage, owner.selected, 2.5);
   }
+
+  paintRing(context, stage, k, width) {
+    const [px, py] = stage.toScreen(...this.points[k]);
+    context.strokeStyle = stage.color("c-mark");
+    context.lineWidth = width;
+    context.beginPath();
+    context.arc(px, py, 9, 0, 2 * Math.PI);
+    context.stroke();
+  }
+
+  paintHovered(context, stage, k) { this.paintRing(context, stage, k, 1); }
 
   paintAxes(context, stage) {
     const { owner } = this;

@@ -151,18 +151,20 @@ class FocalPlaneDrawing {
     context.globalAlpha = 1;
   }
 
+  paintRing(context, stage, k, width) {
+    const [px, py] = stage.toScreen(this.x[k], this.y[k]);
+    context.lineWidth = width;
+    context.strokeStyle = stage.color("c-mark");
+    context.beginPath();
+    context.arc(px, py, Math.max(this.outer[k] * stage.scale, 7), 0, 2 * Math.PI);
+    context.stroke();
+  }
+
+  paintHovered(context, stage, k) { this.paintRing(context, stage, k, 1); }
+
   paintSelection(context, stage) {
-    const ring = (k, width) => {
-      const [px, py] = stage.toScreen(this.x[k], this.y[k]);
-      context.lineWidth = width;
-      context.strokeStyle = stage.color("c-mark");
-      context.beginPath();
-      context.arc(px, py, Math.max(this.outer[k] * stage.scale, 7), 0, 2 * Math.PI);
-      context.stroke();
-    };
-    if (stage.hovered >= 0) ring(stage.hovered, 1);
     if (this.selected < 0) return;
-    for (const k of new Set([this.selected, ...this.found])) ring(k, 2.5);
+    for (const k of new Set([this.selected, ...this.found])) this.paintRing(context, stage, k, 2.5);
     for (const [, x, y, , possible] of this.plan.free.get(this.selected) ?? []) { // crosses are free targets
       const [px, py] = stage.toScreen(x, y);
       context.strokeStyle = stage.color(possible ? "c-good" : "c-collision");

@@ -189,7 +189,24 @@ class Stage {
     context.setTransform(ratio, 0, 0, ratio, 0, 0);
     context.clearRect(0, 0, this.width, this.height);
     this.owner.paint(context, this);
+    this.base = null;
+    this.paintHovered();
     this.canvas.dataset.milliseconds = performance.now() - begin;
+  }
+
+  // The mark of the hovered item, above a copy of the plot, so that the pointer does not draw the plot again.
+  paintHovered() {
+    const { canvas, hovered = -1 } = this;
+    if (!this.base && hovered < 0) return;
+    const context = canvas.getContext("2d");
+    if (!this.base) {
+      this.base = new OffscreenCanvas(canvas.width, canvas.height);
+      this.base.getContext("2d").drawImage(canvas, 0, 0);
+    } else {
+      context.clearRect(0, 0, this.width, this.height);
+      context.drawImage(this.base, 0, 0, this.width, this.height);
+    }
+    if (hovered >= 0) this.owner.paintHovered(context, this, hovered);
   }
 
   color(name) {
@@ -200,8 +217,9 @@ class Stage {
     const item = this.owner.pick(...this.toWorld(px, py));
     const content = item < 0 ? null : this.owner.card(item);
     this.tip.hidden = content === null;
-    if (this.hovered !== item) this.draw();
+    const changed = this.hovered !== item;
     this.hovered = item;
+    if (changed && this.pending === undefined) this.paintHovered();
     if (content === null) return;
     this.tip.replaceChildren(...content);
     const { offsetWidth: w, offsetHeight: h } = this.tip;

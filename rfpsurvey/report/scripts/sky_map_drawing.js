@@ -135,15 +135,18 @@ class SkyMapDrawing {
     this.paintLabels(context, stage, lines);
     paintCompass(context, stage, this.compass());
     if (!this.data.whole) paintScale(context, stage, "\u00b0");
-    for (const [k, width] of [[stage.hovered ?? -1, 1.5], [this.selected, 3]]) {
-      if (k < 0) continue;
-      context.strokeStyle = stage.color("c-mark");
-      context.lineWidth = width;
-      context.beginPath();
-      this.pathOf(context, stage, k);
-      context.stroke();
-    }
+    if (this.selected >= 0) this.paintRim(context, stage, this.selected, 3);
   }
+
+  paintRim(context, stage, k, width) {
+    context.strokeStyle = stage.color("c-mark");
+    context.lineWidth = width;
+    context.beginPath();
+    this.pathOf(context, stage, k);
+    context.stroke();
+  }
+
+  paintHovered(context, stage, k) { this.paintRim(context, stage, k, 1.5); }
 
   // Large fields are translucent, with an opaque disk at the center, whose color does not depend on other fields.
   paintFields(context, stage, rows) {
