@@ -1,13 +1,17 @@
 """Windows of tiles, compared with astropy on a grid of times, and with the limits at their ends."""
 
+from contextlib import ExitStack
+
 import astropy.units as u
 import numpy as np
 import pytest
 from astropy.coordinates import AltAz, EarthLocation, SkyCoord, get_body
 from astropy.table import QTable
 from astropy.time import Time
+from astropy.utils import iers
 
-from rfpsurvey.night import REASONS, NightLimits, observing_windows
+import rfpsurvey as rs
+from rfpsurvey.night import REASONS, NightLimits, observing_windows, plan_night
 
 DEG = u.deg
 # longitude, latitude (deg) and height (m)
@@ -114,6 +118,101 @@ def test_windows_are_those_of_astropy(seed):
     assert ((reasons == "") == np.isin(np.arange(10), windows.arrays.tile)).all()
     starts, tile = windows.arrays.start, windows.arrays.tile
     assert (windows.arrays.end[:-1] < starts[1:])[tile[1:] == tile[:-1]].all()
+
+
+@pytest.mark.few(12)
+@pytest.mark.parametrize("seed", range(240))
+def test_each_end_of_a_window_is_at_a_limit(seed):
+    """At the ends of windows, the limit that is met least is met by less than its tolerance, by astropy."""
+    site, day, limits, tiles = random_scene(seed)
+    windows = observing_windows(tiles, site, Time(day, format="mjd"), NightLimits(**limits), shortest=0 * u.s)
+    tile, _, *ends = windows.arrays
+    tile, mjd = np.tile(tile, 2), np.concatenate(ends)
+    if len(mjd):
+        margins = [margin for _, margin in margins_of(site, limits, tiles, Time(mjd, format="mjd"))]
+        least = np.min(margins, axis=0)[tile, np.arange(len(mjd))]
+        noon = np.isin(mjd, windows.sky(0).noon + np.array([0.0, 1.0]))
+        assert (np.abs(least)[~noon] <= 1).all()
+        assert (least[noon] >= -1).all()
+
+
+@pytest.mark.few(4)
+@pytest.mark.parametrize("seed", range(60))
+def test_nights_have_the_times_of_the_sun_and_the_moon(seed):
+    """The Sun is at its limit in the evening and in the morning, and the Moon rises and sets, by astropy."""
+    site, day, limits, tiles = random_scene(seed)
+    dark, bright = limits["sun_altitude"], limits["sun_altitude"] + 3 * DEG
+    limits = {"dark": NightLimits(sun_altitude=dark), "": NightLimits(sun_altitude=bright)}
+    windows = observing_windows(tiles, site, Time(day, format="mjd"), limits)
+    night, noon = windows.nights[0], windows.sky(0).noon
+
+    def altitude(name, mjd):
+        times = Time(mjd, format="mjd")
+        return get_body(name, times, site).transform_to(AltAz(obstime=times, location=site)).alt.deg
+
+    grid = noon + np.linspace(0, 1, 145)
+    is_dark = altitude("sun", grid) < bright.to_value(DEG) - TOLERANCE
+    rises = np.sign(np.diff(np.sign(altitude("moon", grid))))
+    if night["evening"].mask:
+        assert not is_dark.any()
+    elif is_dark.any():
+        evening, morning = night["evening"].mjd, night["morning"].mjd
+        assert evening <= grid[is_dark].min()
+        assert morning >= grid[is_dark].max()
+        for mjd in {evening, morning} - {noon, noon + 1}:
+            assert abs(altitude("sun", mjd) - bright.to_value(DEG)) < TOLERANCE
+    for name, sign in (("moonrise", 1), ("moonset", -1)):
+        if night[name].mask:
+            assert not (rises == sign).any()
+        else:
+            mjd = night[name].mjd
+            assert abs(altitude("moon", mjd)) < TOLERANCE_MOON
+            assert (altitude("moon", mjd + 0.002) - altitude("moon", mjd - 0.002)) * sign > 0
+
+
+YEARS = [1905, 1962, 2028, 2036, 2099, 2250]
+
+
+@pytest.mark.parametrize("year", YEARS)
+def test_years_beyond_the_tables_need_no_network(year, monkeypatch):
+    """No file is downloaded with the default configuration of astropy, and there are no warnings of ERFA."""
+
+    def download(*args, **options):
+        raise AssertionError("a download was attempted")
+
+    monkeypatch.setattr(iers.iers, "download_file", download)
+    monkeypatch.setattr("socket.socket.connect", download)
+    tiles = QTable({"ra": [95] * DEG, "dec": [23] * DEG})
+    changed = {"auto_download": True, "auto_max_age": 30.0, "iers_degraded_accuracy": "error"}
+    with ExitStack() as stack:
+        for name, value in changed.items():
+            stack.enter_context(iers.conf.set_temp(name, value))
+        limits = NightLimits(moon_separation=1 * DEG)
+        windows = observing_windows(tiles, "kitt peak", f"{year}-01-03", limits)
+        assert windows.reasons()["reason"].tolist() == [""]
+        assert windows.nights["n_tiles"].tolist() == [len(windows.table)] == [1]
+        night = plan_night(tiles, f"{year}-01-03", instrument="desi", limits=limits)
+        assert night.as_text()["start"][0].startswith(f"{year}-01-0")
+
+
+def test_wrong_values_are_refused():
+    tiles = SkyCoord([0] * DEG, [0] * DEG)
+    windows = observing_windows(tiles, "paranal", "2027-01-03")
+    for given, text in (
+        ({"n_nights": 0}, "n_nights must be a whole number from 1"),
+        ({"shortest": -1 * u.s}, "shortest must be from 0 to 24 h, got -1.0 s"),
+        ({"shortest": 60}, "shortest must be a Quantity with a unit"),
+        ({"limits": {}}, "limits must be given for tiles without a program (the key ''), got none"),
+        (
+            {"limits": {"dark": NightLimits()}},
+            "limits must be given for tiles without a program (the key ''), got dark",
+        ),
+    ):
+        with pytest.raises(rs.InputError) as refusal:
+            observing_windows(tiles, "paranal", "2027-01-03", **given)
+        assert text in str(refusal.value)
+    with pytest.raises(rs.InputError, match="date must be one of the dates from 2027-01-03 on, got '2027-01-05'"):
+        windows.reasons("2027-01-05")
 
 
 def for_two_minutes(least):

@@ -56,6 +56,7 @@ class Night:
     def __len__(self):
         return len(self.table)
 
+    @any_year()
     def as_text(self) -> QTable:
         """Return the table with its times as text (UTC), as files contain it.
 

@@ -92,6 +92,7 @@ class NightSky:
         return np.arctan2(up, np.hypot(north, y)), np.arctan2(-y, north) % TURN, angle
 
     @cached_property
+    @any_year()
     def _bodies(self) -> np.ndarray:
         """Vectors from the center of the Earth to the Sun and to the Moon (au, CIRS), every `STEP`, shape (k, 6)."""
         time = self.noon + self._to_tt + np.arange(-1, round(1 / STEP) + 3) * STEP

@@ -84,6 +84,13 @@ def _moon_below(sky: NightSky, altitude: float, bright: Callable | None = None) 
     return cut(ALWAYS, allowed, MINUTE)
 
 
+def _events(sky: NightSky, numbers: Numbers) -> list[float]:
+    """Return the first and last dark time, and the rise and set of the Moon, as modified Julian dates or NaN."""
+    dark, down = dark_time(sky, numbers), _moon_below(sky, 0.0)
+    events = dark.start[:1], dark.end[-1:], down.end[down.end < 1][:1], down.start[down.start > 0][:1]
+    return [sky.noon + event[0] if len(event) else np.nan for event in events]
+
+
 def _above(sky: NightSky, horizon: tuple, tile: np.ndarray, time: np.ndarray) -> np.ndarray:
     altitude, azimuth, _ = sky.horizontal(tile, time)
     return np.rad2deg(altitude) >= np.interp(np.rad2deg(azimuth), *np.transpose(horizon), period=360)
@@ -158,9 +165,18 @@ class Windows:
 
     @property
     def nights(self) -> QTable:
-        """The nights: the numbers of tiles with windows, and of tiles without a window for each reason."""
+        """The nights: the numbers of tiles with windows, and of tiles without a window for each reason.
+
+        The columns ``evening`` and ``morning`` (UTC) contain the first and the last time at which the Sun is low enough
+        for the limits of any program; ``moonrise`` and ``moonset`` the times at which the center of the Moon is at the
+        altitude 0. They are masked if there is no such time in the 24 hours of the night.
+        """
         table = QTable({"date": _dates(self.days), "n_tiles": self.counts[:, 0]})
-        table["moon_illumination"] = [float(self.sky(k).illumination(np.array(0.5))) for k in range(len(self.days))]
+        skies, numbers = [self.sky(k) for k in range(len(self.days))], [one.numbers for one in self.limits.values()]
+        events = [_events(sky, max(numbers, key=lambda one: one.sun)) for sky in skies]
+        for name, mjd in zip(("evening", "morning", "moonrise", "moonset"), np.transpose(events), strict=True):
+            table[name] = times_of_mjd(np.ma.masked_invalid(mjd))
+        table["moon_illumination"] = [float(sky.illumination(np.array(0.5))) for sky in skies]
         for number, reason in enumerate(REASONS[1:], 1):
             table[reason] = self.counts[:, number]
         return table
@@ -231,9 +247,8 @@ class Windows:
         known = np.isin(names, [*self.limits])
         if "" not in self.limits and not known.all():
             other = str(names[~known][0])
-            raise InputError(
-                f"limits must be given for the program {other!r}, or for the program '', got {listed(self.limits)}"
-            )
+            whom = f"the program {other!r}, or for the program ''" if other else "tiles without a program (the key '')"
+            raise InputError(f"limits must be given for {whom}, got {listed(self.limits)}")
         names = np.where(known, names, "")
         return [(limits, np.flatnonzero(names == name)) for name, limits in self.limits.items()]
 
