@@ -73,9 +73,9 @@ VALUES = {
         "share": st.none(),
     },
     NightLimits: {
-        "min_altitude": st.none() | lengths(-90, 90, DEG, u.rad),
+        "min_altitude": st.none() | lengths(-90, 30, DEG),
         "max_airmass": st.none(),
-        "max_altitude": lengths(-90, 90, DEG),
+        "max_altitude": lengths(30.1, 90, DEG),
         "hour_angle": lengths(0, 12, u.hourangle),
         "sun_altitude": lengths(-90, 90, DEG),
         "moon_separation": lengths(0, 180, DEG),
