@@ -72,6 +72,7 @@ def write_help(app):
         "score",
         "convert",
         "export",
+        "night",
         "tile",
         "survey",
         "record",
