@@ -30,7 +30,7 @@ NOT_CHOSEN, NO_FIT = "not chosen", "exposure longer than the window"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Night:
-    """The plan of a night, which `plan_night` returns.
+    """The plan of a night, which `rfpsurvey.night.plan_night` returns.
 
     Parameters
     ----------

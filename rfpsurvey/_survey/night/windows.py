@@ -121,7 +121,7 @@ class WindowArrays(NamedTuple):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Windows:
-    """The times in which tiles can be observed, which `observing_windows` returns.
+    """The times in which tiles can be observed, which `rfpsurvey.night.observing_windows` returns.
 
     Parameters
     ----------
@@ -292,7 +292,7 @@ def observing_windows(
         The tiles. In a table, the columns ``start`` and ``end`` (Time, modified Julian date, or text) limit the times
         of a tile, and ``program`` names its limits.
     site : EarthLocation or str
-        Location of the telescope, or its name, as in `ObservingConditions`.
+        Location of the telescope, or its name, as in `rfpsurvey.ObservingConditions`.
     date : Time, date or str
         Local date of the (first) evening. A night begins at local mean noon of this date, and takes 24 hours.
     limits : NightLimits or dict of str to NightLimits, optional
