@@ -89,8 +89,7 @@ class NightLimits(Settings):
     Raises
     ------
     InputError
-        If a value is not valid, if ``min_altitude`` and ``max_airmass`` are given, or if ``max_altitude`` is lower than
-        the lowest altitude.
+        If a value is not valid, or if ``min_altitude`` and ``max_airmass`` are given.
 
     Examples
     --------
@@ -113,11 +112,6 @@ class NightLimits(Settings):
     def _check(self):
         if self.min_altitude is not None and self.max_airmass is not None:
             raise InputError("limits must have either min_altitude or max_airmass, got both")
-        if self.numbers.lowest > self.numbers.highest:
-            raise InputError(
-                f"max_altitude must be at least the lowest altitude of {np.rad2deg(self.numbers.lowest):g} deg, "
-                f"got {self.max_altitude}"
-            )
 
     @cached_property
     def numbers(self) -> Numbers:
