@@ -11,7 +11,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 from zipfile import ZipFile
 
-LIMIT = 1_400_000  # bytes
+LIMIT = 1_600_000  # bytes
 MOST_CODE = 10_000  # bytes of one compressed file of code or of a description
 LARGEST = {
     "rfpsurvey/*.py": MOST_CODE,
