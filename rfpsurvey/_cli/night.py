@@ -18,6 +18,7 @@ from rfpsurvey._common.settings import option
 from rfpsurvey._field.plan_files import FORMATS, TABLE
 from rfpsurvey._instruments.instrument import as_instrument
 from rfpsurvey._survey import key_objects
+from rfpsurvey._survey.export import CHANGED
 from rfpsurvey._survey.key_types import Located, Part
 from rfpsurvey._survey.night.limits import NightLimits
 from rfpsurvey._survey.night.merits import MERITS
@@ -149,8 +150,20 @@ def night(keys: NightKeys) -> None:
     if output.folder is not None and len(plan):
         given = {"format": output.format, "output": output.folder, "overwrite": output.overwrite}
         given |= {} if keys.instrument is None else {"instrument": as_instrument(keys.instrument)}
+        if has_conditions := bool(survey.provenance["parameters"].get("conditions")):
+            given["times"] = plan.table["start"] + plan.table["exposure_time"] / 2
         files = survey.export([str(name) for name in plan.table["tile"]], **given)
         print(f"{number_of(len(files), 'file')} written to {output.folder}")
+        if not has_conditions:
+            print(
+                "the positions do not depend on the time, because the survey was planned without observing conditions"
+            )
+        elif n_changed := int(files["n_changed"].sum()):
+            path = output.folder / CHANGED
+            text = (
+                f"at these times, {number_of(n_changed, 'positioner')} cannot observe the planned targets; record the"
+            )
+            _results.print_text(f"{text} changes with the tiles: rfpsurvey record {keys.tiles} {path}")
 
 
 def _planned(survey: rs.Survey, *, progress: bool) -> rs.Survey:

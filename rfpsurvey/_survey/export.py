@@ -19,33 +19,28 @@ from astropy.time import Time
 from rfpsurvey._assignment.constraints.targets import circle_text
 from rfpsurvey._assignment.constraints.text import listed_in, recorded_constraints
 from rfpsurvey._assignment.options import AllocationOptions
-from rfpsurvey._assignment.rules import FEWEST_FIRST
 from rfpsurvey._common.descriptions import COPIED, Column, describe, table_of, with_unit
 from rfpsurvey._common.executors import Progress
 from rfpsurvey._common.files import check_parent, suffix_of, to_path
 from rfpsurvey._common.io import write_bytes, write_table, writing_to, written
 from rfpsurvey._common.units import from_lonlat, to_plain
-from rfpsurvey._field.alternates import PlannedField, find_alternates
-from rfpsurvey._field.plan import with_subpriorities
 from rfpsurvey._field.plan_files import TABLE, as_plan, file_name, write_plan
 from rfpsurvey._field.plan_values import instrument_file
 from rfpsurvey._field.score import score_tile
 from rfpsurvey._field.table import TILE_COLUMNS, only_with_target
 from rfpsurvey._field.tile import Tile
-from rfpsurvey._instruments.arms import place_arms
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, available_instruments
 from rfpsurvey._instruments.states import instruments_at, is_dated
-from rfpsurvey._sky.arrays import has_role
 from rfpsurvey._sky.conditions import ObservingConditions
 from rfpsurvey._sky.region import Region
+from rfpsurvey._sky.time import to_time
 from rfpsurvey._survey import key_objects
-from rfpsurvey._survey.continue_survey import request_in
 from rfpsurvey._survey.folder import part_name, read_visits
-from rfpsurvey._survey.history.status import count_planned
+from rfpsurvey._survey.other_targets import OtherTargets, table_of_changes, tile_at_time
 from rfpsurvey._survey.plan_file import keys_in
 from rfpsurvey._survey.survey import Survey
 from rfpsurvey._survey.tiling.columns import conditions_of_rows
-from rfpsurvey._survey.work import TIME, projection_of, reach_of
+from rfpsurvey._survey.work import TIME
 from rfpsurvey.errors import InputError, RfpsurveyWarning, check_whole, listed, number_of, warn
 
 EXPORTED = table_of(
@@ -55,9 +50,12 @@ EXPORTED = table_of(
     Column("n_assigned", "positioners with a target"),
     Column("n_colliding", "positioners in collision"),
     Column("unmet", "requirements and constraints that are not met"),
+    Column("n_changed", "positioners that do not observe their planned target at the time of the file"),
     Column("alternates", "name of the file with the alternates of the fibers"),
 )
-"""Columns of the table that `Survey.export` returns; the last one only if alternates are requested."""
+"""Columns of the table that `Survey.export` returns; the last two only if times or alternates are given."""
+CHANGED = "changes.ecsv"
+"""Name of the file with the changes of targets."""
 MOST_NAMES = 10
 """Largest number of tiles that a message lists."""
 FIELDS = 1.5
@@ -113,34 +111,46 @@ class PlannedTiles:
             self.stored[id(model)] = _stored(model)
         return self.stored[id(model)][0]
 
-    def tile(self, row: int) -> Tile:
-        """Return a tile, or raise an error if it has no plan, or if its poses are not those of the plan."""
+    def plan_of(self, row: int) -> tuple[QTable, dict, dict]:
+        """Return the visits, the header cards and the entry ``survey`` of a tile; raise an error if it has no plan."""
         survey, name = self.survey, self.survey.tiles["tile"][row]
         if survey._states[row] == "dropped":
             raise InputError(f"tile {name} was dropped, and has no plan")
         visits, (_, cards) = survey._visits(row), read_visits(survey.folder, row, survey._known, name)
         if len(visits) == 0:
             raise InputError(f"tile {name} has no positioner with a target")
-        center = SkyCoord(*(float(cards[axis]) for axis in ("RA", "DEC")), unit="deg")
-        entry, instrument = self._entry(row, cards, center), self.instrument_at(cards.get(TIME))
+        return visits, cards, self._entry(row, cards)
+
+    def tile(self, row: int) -> Tile:
+        """Return a tile, or raise an error if it has no plan, or if its poses are not those of the plan."""
+        (visits, cards, entry) = self.plan_of(row)
+        instrument = self.instrument_at(cards.get(TIME))
+        conditions = None if self.conditions is None else self.conditions[row]
+        scored = self.scored(visits, cards, entry, instrument, conditions)
+        self._check(scored, visits, row)
+        return self.completed(scored, visits, entry, cards)
+
+    def scored(self, visits: QTable, cards: dict, entry: dict, instrument: Instrument, conditions: object) -> Tile:
+        """Return the tile with the poses of arms at the targets of visits."""
         columns = ("positioner", "target_id", "ra", "dec", *({"fiber_type"} & {*visits.colnames}))
         scored = score_tile(
             visits[list(columns)],
             instrument,
-            center=center,
+            center=SkyCoord(*(float(cards[axis]) for axis in ("RA", "DEC")), unit="deg"),
             position_angle=float(cards["POSANG"]) * u.deg,
             positions="sky",
-            conditions=None if self.conditions is None else self.conditions[row],
+            conditions=conditions,
             parked_obstacles=bool(self.parameters.get("parked_obstacles", True)),
             constraints=["keep_out " + " ".join(entry["keep_out"].values())] if "keep_out" in entry else None,
         )
         scored.table.meta["provenance"]["instrument"] = instrument.provenance  # without the keep-out circles
-        return self._completed(scored, visits, entry, cards, row)
+        return scored
 
-    def _entry(self, row: int, cards: dict, center: SkyCoord) -> dict:
+    def _entry(self, row: int, cards: dict) -> dict:
         """Return the entry ``survey`` of a plan, whose values are text, because some formats contain only text."""
         tiles, parameters = self.survey.tiles, self.parameters
-        vector, limit = center.cartesian.xyz.value, FIELDS * self.instrument.field_radius.to_value(u.rad)
+        vector = from_lonlat(*np.deg2rad([float(cards[axis]) for axis in ("RA", "DEC")]))
+        limit = FIELDS * self.instrument.field_radius.to_value(u.rad)
         near = [c for c in self.circles if np.arccos(np.clip(c.values[:3] @ vector, -1, 1)) < c.values[3] + limit]
         others = {name: values for name, values in parameters.items() if name not in ("required", "keep_out")}
         circles = [circle_text(circle).removeprefix("cap ") for circle in near]
@@ -156,11 +166,10 @@ class PlannedTiles:
         texts = {name: str(value) for name, value in entry.items() if str(value)}
         return texts | {name: {str(k): text for k, text in enumerate(rows)} for name, rows in lists.items() if rows}
 
-    def _completed(self, scored: Tile, visits: QTable, entry: dict, cards: dict, row: int) -> Tile:
-        """Return a scored tile with the kinds, priorities and further columns of its targets."""
-        table, name = scored.table, entry["tile"]
-        row_of_id = {str(i): k for k, i in enumerate(table["id"].tolist())}
-        owner = np.array([row_of_id[str(i)] for i in visits["positioner"].tolist()])
+    def _check(self, scored: Tile, visits: QTable, row: int) -> None:
+        """Raise an error if the targets or collisions of a tile are not those of the survey."""
+        table, name = scored.table, self.survey.tiles["tile"][row]
+        owner = owners_of(table, visits)
         numbers = {key: (scored.summary[key], int(self.survey.tiles[key][row])) for key in CHECKED}
         differ = to_plain(table["in_collision"])[owner] != to_plain(visits["in_collision"])
         if differ.any() or scored.summary["n_out_of_reach"] or any(a != b for a, b in numbers.values()):
@@ -171,8 +180,12 @@ class PlannedTiles:
                 f"{number_of(n, 'positioner')}; the plan was made with another state of the instrument, or with arms "
                 "that are bent to the other side (handedness both), which the folder does not contain"
             )
+
+    def completed(self, scored: Tile, visits: QTable, entry: dict, cards: dict) -> Tile:
+        """Return a scored tile with the kinds, priorities and further columns of its targets."""
+        table = scored.table
         row_of = np.full(len(table), -1)
-        row_of[owner] = np.arange(len(visits))
+        row_of[owners_of(table, visits)] = np.arange(len(visits))
         for column in visits.colnames:
             if column not in OF_VISITS:
                 values, unit = to_plain(visits[column]), getattr(visits[column], "unit", None)
@@ -183,6 +196,12 @@ class PlannedTiles:
         provenance["catalog"] = self.survey.provenance["catalog"]
         table.meta["summary"]["unmet"] = [entry["unmet"]] if "unmet" in entry else []
         return Tile(describe(table, TILE_COLUMNS, COPIED))
+
+
+def owners_of(table: QTable, visits: QTable) -> np.ndarray:
+    """Return the row in the table of a tile of the positioner of each visit."""
+    row_of = {str(identifier): row for row, identifier in enumerate(table["id"].tolist())}
+    return np.array([row_of[str(positioner)] for positioner in visits["positioner"].tolist()])
 
 
 def planned_tiles(survey: Survey, instrument: Instrument | str | None = None) -> PlannedTiles:
@@ -242,57 +261,6 @@ def tile_at(path: Path) -> tuple[Tile, PlannedTiles] | None:
     return planned.tile(row), planned
 
 
-class SurveyAlternates:
-    """The alternates of the tiles of a survey; ``given`` contains parameters that its plan file does not determine."""
-
-    def __init__(self, survey: Survey, **given: object):
-        self._survey, self._request = survey, request_in(survey.folder, **given)
-        self._state = self._request.open_state()
-
-    @cached_property
-    def _planned(self) -> np.ndarray:
-        """Number of visits of each target in the tiles that will be observed, in the order of the catalog."""
-        return count_planned(self._survey, self._request.state, is_planned=False)
-
-    def of_tile(self, row: int, n: int) -> QTable:
-        """Return a table of at most n alternates of each fiber of the tile in a row, as `find_alternates` does."""
-        survey, request = self._survey, self._request
-        name = survey.tiles["tile"][row]
-        visits, cards = read_visits(survey.folder, row, survey._known, name)
-        job = self._state.open_job(request, row)
-        if not np.allclose([cards[axis] for axis in ("RA", "DEC", "POSANG")], request.places[row], rtol=0, atol=1e-9):
-            raise InputError(f"tile {name} must have its planned position for alternates, got a tile that was moved")
-        reach, options, columns = reach_of(job), request.options, visits.dtype.names
-        plane, has_types = reach.applied.instrument.focal_plane, "fiber_type" in columns
-        row_of = {str(positioner): k for k, positioner in enumerate(plane.id.tolist())}
-        owner = np.array([row_of[str(positioner)] for positioner in visits["positioner"].tolist()])
-        vectors = from_lonlat(np.deg2rad(visits["ra"]), np.deg2rad(visits["dec"]))
-        tips, types = np.full((len(plane), 2), np.nan), None
-        tips[owner] = projection_of(job).project(vectors, visits["fiber_type"] if has_types else None)
-        tips[~plane.arrays.usable] = np.nan
-        if has_types:
-            types = plane.arrays.first_type.astype(np.promote_types(visits["fiber_type"].dtype, "U1"))
-            types[owner] = visits["fiber_type"]
-        parked = options.parked_obstacles
-        arms = place_arms(plane, tips * u.mm, fiber_type=types, parked_obstacles=parked, clip=True)
-        targets = job.field.targets._replace(columns=job.field.targets.columns._replace(kind=reach.applied.kind))
-        if options.subpriority == FEWEST_FIRST:  # here, the most remaining visits come first
-            targets = targets._replace(columns=targets.columns._replace(subpriority=None))
-        else:
-            targets = with_subpriorities(targets, options)
-        catalog_row, kind = job.field.row, targets.columns.kind
-        pairs = reach.allowed.where(~np.isin(catalog_row, visits["target_row"])[reach.allowed.target])
-        planned = self._planned[catalog_row].astype(int)
-        left = np.maximum(request.builder.left[job.field.slot] - planned, 0)
-        if kind is not None:  # standards and sky positions can be observed any number of times
-            left = np.where(has_role(kind, "science"), left, 1)
-        roles = visits["kind"] if "kind" in columns else np.full(len(visits), "science")
-        about = targets, reach.xy, reach.fiber_type, pairs, owner, visits["target_id"], roles, vectors
-        table = find_alternates(PlannedField(plane, arms, options.motion_law, parked, *about), n, left, planned)
-        table.add_column(np.full(len(table), name), name="tile", index=0)
-        return table
-
-
 def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
     """Return the rows of tiles that are given as one identifier, a list of them, or text such as ``12-20,31``.
 
@@ -324,14 +292,15 @@ def rows_of_tiles(survey: Survey, tiles: object) -> list[int]:
     return list(dict.fromkeys(rows))
 
 
-def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, progress) -> QTable:  # noqa: A002
+def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, times, progress) -> QTable:  # noqa: A002
     """Write tiles of a survey to files of plans; see `Survey.export`."""
-    folder, planned, others = to_path(folder), planned_tiles(survey, instrument), None
+    folder, planned = to_path(folder), planned_tiles(survey, instrument)
     if alternates is not None:
         check_whole(alternates, "alternates")
-        others = SurveyAlternates(survey, **({} if instrument is None else {"instrument": instrument}))
+    others = OtherTargets(survey, **({} if instrument is None else {"instrument": instrument}))
     rows = range(len(survey)) if tiles is None else rows_of_tiles(survey, tiles)
-    records, left_out, said, n_stuck = [], {}, defaultdict(list), 0
+    moments = None if times is None else _times_of(times, rows, planned, alternates)
+    records, left_out, said, n_stuck, changes = [], {}, defaultdict(list), 0, []
     if is_new := not folder.is_dir():
         check_parent(folder)
         with written(folder):
@@ -341,7 +310,10 @@ def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, 
             for number, row in enumerate(rows, 1):
                 name = survey.tiles["tile"][row]
                 try:
-                    tile = planned.tile(row)
+                    if moments is None:
+                        tile, changed = planned.tile(row), []
+                    else:
+                        tile, changed = tile_at_time(planned, others, row, moments[number - 1])
                 except InputError as error:
                     if tiles is not None:
                         raise
@@ -358,13 +330,19 @@ def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, 
                     said[text].append(path.name)
                 numbers = (tile.summary["n_assigned"], tile.summary["n_colliding"], " ".join(tile.summary["unmet"]))
                 records.append((name, path.name, len(plan), *numbers))
-                if others is not None:
+                changes += changed
+                if moments is not None:
+                    records[-1] += (len(changed),)
+                if alternates is not None:
                     usual = file_name(plan, name, TABLE)
                     path = folder / Path(usual.replace("tile-", "alternates-", 1)).with_suffix(".ecsv")
                     temporary = stack.enter_context(writing_to(path, (".ecsv",), overwrite=overwrite))
                     write_table(others.of_tile(row, alternates), temporary)
                     records[-1] += (path.name,)
                 tell(number)
+            if changes:
+                temporary = stack.enter_context(writing_to(folder / CHANGED, (".ecsv",), overwrite=overwrite))
+                write_table(table_of_changes(changes), temporary)
         names, reasons = [*left_out], listed(dict.fromkeys(left_out.values()), 2)
         without = f"{number_of(len(names), 'tile')} left out: {listed(names, MOST_NAMES)} ({reasons})"
         if not records:
@@ -381,9 +359,23 @@ def export(survey, tiles, *, format, folder, instrument, overwrite, alternates, 
         warn(f"{number_of(n_stuck, 'stuck fiber')} on sky are written without a position and an identifier of a target")
     if left_out:
         warn(without)
-    names = [*EXPORTED][: len(EXPORTED) - (others is None)]
+    names = [*EXPORTED][:-2] + ["n_changed"] * (times is not None) + ["alternates"] * (alternates is not None)
     table = QTable(rows=records, names=names, meta={"folder": str(folder), "left_out": left_out})
     return describe(table, EXPORTED)
+
+
+def _times_of(times: object, rows: list[int] | range, planned: PlannedTiles, alternates: int | None) -> Time:
+    """Return the times of tiles, or raise an error if the tiles cannot have them."""
+    times = to_time(times, "times")
+    if times.shape != (len(rows),):
+        raise InputError(f"times must have one time for each of the {len(rows)} tiles, got the shape {times.shape}")
+    if planned.conditions is None:
+        raise InputError(
+            "times must be left out for a survey without observing conditions, whose positions do not change"
+        )
+    if alternates is not None:
+        raise InputError("times must be left out if alternates are given, because alternates are those of the plan")
+    return times
 
 
 def _write(tile: Tile, plan: QTable, temporary: Path, format: str, path: Path) -> list[str]:  # noqa: A002

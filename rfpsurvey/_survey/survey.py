@@ -173,6 +173,7 @@ class Survey(Living):
         instrument: object = None,
         overwrite: bool = False,
         alternates: int | None = None,
+        times: object = None,
         progress: object = False,
     ) -> QTable:
         """Write tiles to files of plans, one file for each tile, which `~rfpsurvey.plans.read_plan` reads.
@@ -201,6 +202,10 @@ class Survey(Living):
             each file: `Tile.alternates <rfpsurvey.Tile>` with the columns ``tile``, ``n_left`` (visits of the target
             that remain if all tiles are observed as planned; 1 for standards and sky positions) and ``n_elsewhere``
             (number of other tiles that observe the target). Targets with remaining visits are first.
+        times : Time, optional
+            Midpoint of the exposure of each of the ``tiles``, shape (n_tiles,), for a survey with observing conditions.
+            The positions are those at these times instead of the planned ones. Fibers that cannot observe their targets
+            then receive other targets, or none; a table ``changes.ecsv``, which `record` reads, lists them.
         progress : bool or callable, optional
             Whether to show the progress, as in `plan_survey`.
 
@@ -208,8 +213,9 @@ class Survey(Living):
         -------
         QTable
             Table with a row for each file: ``tile``, ``file``, ``n_positioners``, ``n_assigned``, ``n_colliding``,
-            ``unmet`` and, if requested, ``alternates`` (name of the file). ``meta["left_out"]`` contains the tiles that
-            were left out, with the reasons.
+            ``unmet``, with ``times`` also ``n_changed`` (positioners that do not observe their planned targets) and, if
+            requested, ``alternates`` (name of the file). ``meta["left_out"]`` contains the tiles that were left out,
+            with the reasons.
 
         Raises
         ------
@@ -220,8 +226,8 @@ class Survey(Living):
         """
         from rfpsurvey._survey.export import export  # the module imports this one
 
-        options = {"instrument": instrument, "overwrite": overwrite, "alternates": alternates, "progress": progress}
-        return export(self, tiles, format=format, folder=output, **options)
+        options = {"instrument": instrument, "overwrite": overwrite, "alternates": alternates, "times": times}
+        return export(self, tiles, format=format, folder=output, **options, progress=progress)
 
     def __iter__(self) -> Iterator[QTable]:
         return (self._visits(k) for k in range(len(self.tiles)))

@@ -1,8 +1,10 @@
 """The command ``night``."""
 
+import astropy.units as u
 import numpy as np
 import pytest
 from astropy.table import Table
+from astropy.time import Time
 
 import rfpsurvey as rs
 
@@ -41,6 +43,26 @@ def test_a_night_is_planned_written_and_exported(call, refused, folder, tmp_path
     assert "not observed: 1 observed" in ended.text
     assert "Plan of the night 2026-01-11" in page.read_text()
     assert call("night {} --date 2026-01-11", folder).out == ended.out.replace(f"wrote {page}\n", "")
+
+
+def test_files_of_a_survey_with_conditions_are_for_the_times_of_the_night(call, files, tmp_path):
+    given = "--set 'conditions.site=apache point' --set conditions.hour_angle=0"
+    words = f"survey {{}} --tiles {{}} --instrument sdss_apo --allocator lamost_rule {given} --folder {{}}"
+    call(words, files / "stars.fits", files / "tiles.ecsv", tmp_path / "plan")
+    words = "night {} --date 2026-01-10 --output {} --folder {}"
+    ended = call(words, tmp_path / "plan", tmp_path / "night.ecsv", tmp_path / "files")
+    table, changes = Table.read(tmp_path / "night.ecsv"), Table.read(tmp_path / "files/changes.ecsv")
+    for row in table:
+        middle = Time(row["start"]) + row["exposure_time"] / 2 * u.s
+        record = rs.Tile.read(tmp_path / f"files/tile-{row['tile']}.fits").provenance["parameters"]["conditions"]
+        assert abs(Time(record["time"]) - middle) < 1 * u.ms
+    text = f"at these times, {len(changes)} positioners cannot observe the planned targets; record the changes"
+    assert text in " ".join(ended.text.split())
+    (tmp_path / "done.csv").write_text("tile,date\n" + "".join(f"{tile},2026-01-10\n" for tile in table["tile"]))
+    call("record {} {}", tmp_path / "plan", tmp_path / "done.csv")
+    lines = call("record {} {}", tmp_path / "plan", tmp_path / "files/changes.ecsv").lines
+    counts = [int(lines[name][0]) for name in ("swapped targets", "failed visits") if name in lines]
+    assert sum(counts) == len(changes)
 
 
 def test_limits_replace_those_of_the_instrument(call, files):
