@@ -375,7 +375,7 @@ def _times_of(times: object, rows: list[int] | range, planned: PlannedTiles, alt
         )
     if alternates is not None:
         raise InputError("times must be left out if alternates are given, because alternates are those of the plan")
-    return times
+    return Time(times.utc, format="isot", precision=3)
 
 
 def _write(tile: Tile, plan: QTable, temporary: Path, format: str, path: Path) -> list[str]:  # noqa: A002

@@ -61,7 +61,8 @@ class OtherTargets:
     def of_tile(self, row: int, n: int) -> QTable:
         """Return a table of at most n alternates of each fiber of the tile in a row, as `find_alternates` does."""
         job, visits = self._job(row), self._survey._visits(row)
-        table = find_alternates(*self._field(job, reach_of(job), visits, ()), n=n)
+        field, left, planned = self._field(job, reach_of(job), visits, ())
+        table = find_alternates(field, n, left, planned)
         table.add_column(np.full(len(table), self._survey.tiles["tile"][row]), name="tile", index=0)
         return table
 
@@ -98,7 +99,7 @@ class OtherTargets:
         survey, request, name = self._survey, self._request, self._survey.tiles["tile"][row]
         _, cards = read_visits(survey.folder, row, survey._known, name)
         if not np.allclose([cards[axis] for axis in ("RA", "DEC", "POSANG")], request.places[row], rtol=0, atol=1e-9):
-            raise InputError(f"tile {name} must have its planned position for other targets, got a tile that was moved")
+            raise InputError(f"tile {name} must have its planned position for alternates, got a tile that was moved")
         return self._state.open_job(request, row)
 
     def _field(self, job: Job, reach: FieldReach, visits: QTable, resting: tuple | list) -> tuple:
