@@ -1,4 +1,4 @@
-"""Tables of the page on planners, made from the results that tests/benchmarks/planners/compare.py wrote."""
+"""Tables of the comparison of planners (docs/related.rst), from results of tests/benchmarks/planners/compare.py."""
 
 import csv
 from pathlib import Path

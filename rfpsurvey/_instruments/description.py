@@ -56,7 +56,7 @@ class Described(Projections):
         return Margins(**{name: value_of(entry) for name, entry in select_entries(self.values, MARGINS).items()})
 
     def with_margins(self, **margins: u.Quantity | float | None) -> Self:
-        """Return the instrument with margins, which plans keep from mechanical limits (:doc:`/margins`).
+        """Return the instrument with margins, which plans keep from mechanical limits (:ref:`margins`).
 
         Without arguments, the margins in the description of the instrument are used (``published_margins``). With
         arguments, only the given margins are used; margins of 0 remove the margins of the instrument.

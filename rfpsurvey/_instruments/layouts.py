@@ -85,7 +85,7 @@ class ArmModels:
         return (present, *_others(present, select_entries(self.values, SECTION)))
 
     def with_arm_model(self, arm_model: str) -> Self:
-        """Return the instrument with another arm model, the shape that is used to find collisions (:doc:`/outlines`).
+        """Return the instrument with another arm model, the shape that is used to find collisions (:ref:`outlines`).
 
         Parameters
         ----------

@@ -59,7 +59,7 @@ class States:
             replaces a state that the instrument has. The optional columns ``from`` and ``to`` contain the time (UTC)
             at which the state begins and the time at which it has ended: a date and time as text in ISO 8601, a
             Julian date, or no value if there is no limit. Angles without a unit are in degrees. The table
-            ``fiberstatus.ecsv`` of DESI's fiberassign is also accepted (:doc:`/as_built_others`).
+            ``fiberstatus.ecsv`` of DESI's fiberassign is also accepted (:ref:`as-built-desi`).
         time : Time or str, optional
             Time at which the states are evaluated, in UTC; required if a row has a date. If several times are given,
             such as ``Tiling.times``, and the states differ between them, the states of the rows apply at the time of

@@ -74,7 +74,7 @@ def fiber_fraction(
     -----
     By the divergence theorem, the fraction is the mean of E(r) over the directions from the image to the edge of the
     fiber, where E(r) is the fraction of the light within the distance r. The integrand is periodic and analytic, so
-    that the trapezoid rule converges exponentially (:doc:`/light`).
+    that the trapezoid rule converges exponentially (:ref:`light`).
 
     Examples
     --------

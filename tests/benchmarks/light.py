@@ -1,4 +1,4 @@
-"""Numbers of the page on light in fibers (docs/light.rst): ``python tests/benchmarks/light.py``."""
+"""Numbers of the section on light in fibers (docs/observing.rst): ``python tests/benchmarks/light.py``."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""What margins cost and save in plans, and the margins of real plans (page on margins).
+"""What margins cost and save in plans, and the margins of real plans (page on collisions).
 
 Run ``python tests/benchmarks/margin_figures.py``, which takes about two minutes. The last part, which the argument
 ``real`` selects, needs ``RFPSURVEY_TEST_DATA``.

@@ -55,7 +55,7 @@ def differences(output: str, page: str, one: Quoted) -> list[str]:
 
 
 def sdssv() -> list[Quoted]:
-    """Return the rows of the tables on collisions in plans of SDSS-V, for nominal arms and two calibrations."""
+    """Return the rows of the table on collisions in plans of SDSS-V, for nominal arms and two calibrations."""
     plans = {name: name for name in ("design 21636", "design 21637", "design 50323")}
     plans |= {"field a": "field A", "confSummary-test": "configuration of 2024", "confSummary-998": "configuration 998"}
     plans["confSummaryF-998"] = "configuration 998 as measured"
@@ -64,13 +64,7 @@ def sdssv() -> list[Quoted]:
     def printed(name, columns):
         return " ... ".join(f"{name} {kind} {columns}" for kind in ("nominal", "sdssv_apo_2021", "sdssv_apo_2024"))
 
-    return [
-        *(Quoted("as_built", printed(name, "... # ... #"), f"{row} {cells}") for name, row in plans.items()),
-        *(
-            Quoted("as_built", printed(name, "# #"), f"``{name}`` {cells}")
-            for name in ("capsule", "elbow_to_tip", "fiber_tip")
-        ),
-    ]
+    return [Quoted("as_built", printed(name, "... # ... #"), f"{row} {cells}") for name, row in plans.items()]
 
 
 def pfs() -> list[Quoted]:
@@ -81,24 +75,22 @@ def pfs() -> list[Quoted]:
     }
     rows |= {"and dots": "centers from dots, dots included", "and interference limits": "all files"}
     reach = [
-        Quoted("as_built_others", f"{name}: in reach #, of several #, multiplicity", f"{row} # % # %", 100)
+        Quoted("as_built", f"{name}: in reach #, of several #, multiplicity", f"{row} # % # %", 100)
         for name, row in rows.items()
     ]
     rows["as built"] = rows.pop("and interference limits")
     del rows["and dots"]
     return reach + [
-        Quoted("as_built_others", f"{name}: collision probability # +- #", f"{row} ... % ... % ... # +- #")
+        Quoted("as_built", f"{name}: collision probability # +- #", f"{row} ... % ... % ... # +- #")
         for name, row in rows.items()
     ]
 
 
-def margins() -> list[Quoted]:
-    """Return the rows of the table on targets near the edges of patrol areas, in plans of SDSS-V."""
-    plans = {"confSummary-998.par.gz": "configuration 998 of 2021", "confSummary-test.par.gz": "configuration of 2024"}
-    plans["field planned by robostrategy, nominal instrument"] = "field planned by robostrategy"
-    zones = ["0.2 mm of the outer", "0.5 mm of the outer", "0.5 mm of the inner"]
-    printed = " ... ".join(f"within {zone} edge: # of ..., # if" for zone in zones)
-    return [Quoted("margins", f"{name} ... {printed}", f"{row} ... # (#) # (#) # (#)") for name, row in plans.items()]
+def margins() -> Quoted:
+    """Return the numbers of targets near the outer edges of patrol areas, in plans of SDSS-V."""
+    plans = ("confSummary-998.par.gz", "confSummary-test.par.gz", "field planned by robostrategy, nominal instrument")
+    printed = " ... ".join(f"{name} ... within 0.2 mm of the outer edge: # of" for name in plans)
+    return Quoted("collisions", printed, "a margin of 0.2 mm would exclude #, # and # targets")
 
 
 def modules() -> list[Quoted]:
@@ -128,35 +120,30 @@ def allocators() -> list[Quoted]:
     return [
         Quoted("allocation", f"{name} {each} ... # ... #", f"{name} {each} # #")
         for name in ("desi", "lamost", "moons", "pfs", "sdss_apo")
-        for each in ("0.5", "1", "2", "5", "10", "20", "50")
+        for each in ("1", "5")
     ]
 
 
 PAIRS = "(# percent of all pairs for LAMOST, # percent"
 SCRIPTS = {
     ("accuracy_figures",): [
-        Quoted("limits", "naive crossings of collinear segments: #", "reports that # of 10,000 pairs", 1e4),
-        Quoted("limits", "LAMOST: single precision ... at full stretch by # mm", "mm; # mm for the elbows"),
-        Quoted("limits", "SDSS-V: single precision moves tips by # mm", "as large as 1 m - # ... :sup:`-5` mm;", 1e5),
+        Quoted("tradeoffs", "naive crossings of collinear segments: #", "reports that # of 10,000 pairs", 1e4),
+        Quoted("tradeoffs", "LAMOST: single precision ... at full stretch by # mm", "mm; # mm for the elbows"),
+        Quoted("tradeoffs", "SDSS-V: single precision moves tips by # mm", "as 1 m - # ... :sup:`-5` mm;", 1e5),
         Quoted("benchmarks", "LAMOST: ... middles #, ... SDSS-V: ... middles #,", f"remaining pair {PAIRS}", 100),
         Quoted("benchmarks", "LAMOST: ... by axes #; ... SDSS-V: ... by axes #;", f"not decide {PAIRS}", 100),
     ],
     ("as_built_pfs",): [
-        Quoted("as_built_others", "scale #, rotation # deg", "The scale is #, the rotation is # deg"),
-        Quoted("as_built_others", "rest # mm at most", "with an accuracy of # mm. Centers"),
-        Quoted("as_built_others", "ones by # mm (median), # at most", "by # mm in the median, and by # mm at most"),
-        Quoted("as_built_others", "centers from dots: # +- # deg", "by # +- # deg on average for centers derived"),
-        Quoted("as_built_others", "centers nominal: # +- # deg", "by # +- # deg on average for nominal centers"),
-        Quoted("as_built_others", "the rule forbids #%", "the interference limits forbid # % of the patrol area"),
-        Quoted("as_built_others", "the joint limits forbid #%", "and the stricter ranges forbid # %"),
+        Quoted("as_built", "scale #, rotation # deg", "the scale (#) and the rotation (# deg)"),
+        Quoted("as_built", "ones by # mm (median), # at most", "by # mm in the median, and by # mm at most"),
+        Quoted("as_built", "centers from dots: # +- # deg", "the mean difference is # +- # deg"),
+        Quoted("as_built", "centers nominal: # +- # deg", "deg, and # +- # deg for nominal centers"),
+        Quoted("as_built", "the rule forbids #%", "The interference limits forbid # % of the patrol area"),
+        Quoted("as_built", "the joint limits forbid #%", "and the stricter ranges forbid # %"),
         *pfs(),
     ],
     ("as_built_sdssv",): sdssv(),
-    ("margin_figures", "real"): [
-        *margins(),
-        Quoted("margins", "PFS design, nominal: # of # out", "a quarter of its positions (# of # for the"),
-        Quoted("margins", "PFS design, as built: # of", "nominal instrument, and # for the centers"),
-    ],
+    ("margin_figures", "real"): [margins()],
     ("default_allocator", "--allocator", "lamost_rule", "--allocator", "repair"): allocators(),
     ("observing_desi",): [
         Quoted("observing", "largest residual # mm of", "any of the 19 settings is # mm"),
@@ -175,16 +162,16 @@ SCRIPTS = {
     ("light",): [
         *(
             Quoted(
-                "light",
+                "observing",
                 f"sdss_apo, altitude {altitude} deg, seeing 1.0 arcsec: lost # ... 1.2 arcsec: lost # ... lost #",
                 f"{text} #, # and # %",
             )
             for altitude, text in (("45", "fibers lose"), ("60", "they lose"))
         ),
-        Quoted("light", "quasars ... 1.5 arcsec: # and # %", "predicts # and # %"),
-        Quoted("light", "45 deg: relative light #, and # at the best", "increases from # to #"),
-        Quoted("light", "of at least 0.8: up to # h", "h instead of # h"),
-        Quoted("light", "of at least 0.8: up to ... h, and # h", "hour angles of up to # h"),
+        Quoted("observing", "quasars ... 1.5 arcsec: # and # %", "predicts # and # %"),
+        Quoted("observing", "45 deg: relative light #, and # at the best", "increases from # to #"),
+        Quoted("observing", "of at least 0.8: up to # h", "h instead of # h"),
+        Quoted("observing", "of at least 0.8: up to ... h, and # h", "hour angles of up to # h"),
     ],
     ("observing_models",): [
         Quoted(

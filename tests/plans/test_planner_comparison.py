@@ -71,7 +71,7 @@ def test_tables_of_the_page_contain_the_results(tmp_path, monkeypatch):
     import planner_tables
 
     planner_tables.write_tables(tmp_path)
-    page = (ROOT / "docs" / "planners.rst").read_text()
+    page = (ROOT / "docs" / "related.rst").read_text()
     every, found = results.read(FOLDER / "results.ecsv"), set()
     for name, titles in planner_tables.TABLES.items():
         assert f":file: api/planners_{name}.csv" in page
@@ -104,7 +104,7 @@ def test_the_figure_shows_the_results(monkeypatch):
 
 def test_the_text_of_the_page_agrees_with_the_results():
     """If results change, the section on scenes in which rfpsurvey is not the best must be written again."""
-    page = " ".join((ROOT / "docs" / "planners.rst").read_text().split())
+    page = " ".join((ROOT / "docs" / "related.rst").read_text().split())
     every = {(one["scene"], one["program"]): one for one in results.read(FOLDER / "results.ecsv")}
     words = "no one two three four five six seven eight nine ten".split()
 

@@ -186,7 +186,7 @@ class Tiling:
             default), ``pass`` (1 by default) and the position angle (``position_angle``, ``pa``, ``field_pa``,
             ``posang``; 0 by default). Other columns are kept. Tiles whose value in the column ``IN_DESI`` is 0 are not
             part of DESI's survey, and are omitted. Lists of pointings of PFS (``ppc_ra``) are recognized; ``ppc_pa``
-            is the angle POSANG, which differs from the position angle (:doc:`/as_built_others`). A DataFrame of pandas
+            is the angle POSANG, which differs from the position angle (:ref:`as-built-pfs`). A DataFrame of pandas
             or Polars and an Arrow table are accepted.
         columns : dict, optional
             Dict from role (``tile``, ``ra``, ``dec``, ``position_angle`` or ``pass``) to column name, for columns whose
