@@ -105,6 +105,7 @@ def search(index: dict, query: str) -> list[str]:
         *object_results(index, words),
         *term_results(index, list(dict.fromkeys(stems))),
     ]
+    results.reverse()  # of equal results, the last one is shown first
     results.sort(key=lambda one: (-one[0], one[1].lower()))
     return list(dict.fromkeys(index["docnames"][page] for *_, page in results))
 
