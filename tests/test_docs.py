@@ -57,7 +57,7 @@ CONSOLE = [
 
 @pytest.mark.parametrize(("page", "block"), CONSOLE)
 def test_commands_print_what_the_page_shows(page, block, run, tmp_path, monkeypatch):
-    """Blocks with a caption are files, which the commands of the page read."""
+    """Blocks with a caption are files, which the commands of the page read; a command can have several lines."""
     monkeypatch.chdir(tmp_path)
     for name, text in re.findall(r":caption: (\S+)\n\n((?:    .*\n|\n)+)", page.read_text()):
         (tmp_path / name).write_text(re.sub("^    ", "", text, flags=re.MULTILINE).strip("\n") + "\n")
@@ -66,6 +66,7 @@ def test_commands_print_what_the_page_shows(page, block, run, tmp_path, monkeypa
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
     (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))
     same = doctest.OutputChecker().check_output
+    block = re.sub(r" \\\n +", " ", block)
     for command, shown in re.findall(r"    \$ rfpsurvey (.*)\n((?:    (?!\$).*\n)*)", block):
         code, out, err = run(*shlex.split(command))
         assert code == 0, err
