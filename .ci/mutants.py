@@ -3,8 +3,8 @@
 A mutant is one small change of the code: a different comparison, a difference instead of a sum, a different number, a
 condition that is always true or always false, or a statement that is removed. A seed determines a random selection of
 mutants. For each of them, the tests that ``TESTS`` lists for its file run in a copy of the source tree. A mutant that
-exceeds the limit of processor time counts as killed. Mutants that survive must be inspected; ``docs/testing.rst`` lists
-them.
+exceeds the limit of processor time counts as killed. Mutants that survive must be inspected; the last result is
+in ``docs/testing.rst``.
 """
 
 import argparse

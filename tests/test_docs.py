@@ -57,15 +57,16 @@ CONSOLE = [
 
 @pytest.mark.parametrize(("page", "block"), CONSOLE)
 def test_commands_print_what_the_page_shows(page, block, run, tmp_path, monkeypatch):
-    """Blocks with a caption are files, which the commands of the page read."""
+    """Blocks with a caption are files, which the commands of the page read; a command can have several lines."""
     monkeypatch.chdir(tmp_path)
     for name, text in re.findall(r":caption: (\S+)\n\n((?:    .*\n|\n)+)", page.read_text()):
         (tmp_path / name).write_text(re.sub("^    ", "", text, flags=re.MULTILINE).strip("\n") + "\n")
-    lines = re.search(r'lines = """(.*?)"""', (DOCS / "tutorial_commands.rst").read_text(), re.DOTALL).group(1)
+    lines = re.search(r'lines = """(.*?)"""', (DOCS / "plan_tile.rst").read_text(), re.DOTALL).group(1)
     (tmp_path / "gaia.csv").write_text(lines.replace("... ", ""))
     toml = re.search(r"code-block:: toml\n\n((?:    .*\n|\n)+)", (DOCS / "instruments.rst").read_text()).group(1)
     (tmp_path / "mine.toml").write_text(re.sub("^    ", "", toml, flags=re.MULTILINE))
     same = doctest.OutputChecker().check_output
+    block = re.sub(r" \\\n +", " ", block)
     for command, shown in re.findall(r"    \$ rfpsurvey (.*)\n((?:    (?!\$).*\n)*)", block):
         code, out, err = run(*shlex.split(command))
         assert code == 0, err
@@ -115,6 +116,45 @@ def test_broken_links_are_found(tmp_path):
     ]
 
 
+def index_of_pages(pages):
+    """Return an index in the form of Sphinx, of pages with a title, words, and main index entries."""
+    index = {"docnames": list(pages), "titles": [one[0] for one in pages.values()], "objects": {}, "objnames": {}}
+    index |= {"alltitles": {}, "indexentries": {}, "terms": defaultdict(list), "titleterms": defaultdict(list)}
+    for number, (title, words, entries) in enumerate(pages.values()):
+        index["alltitles"][title] = [[number, None]]
+        index["indexentries"] |= {entry: [[number, "index-0", True]] for entry in entries}
+        for word in words.split():
+            index["terms"][word].append(number)
+        for word in title.lower().split():
+            index["titleterms"][word].append(number)
+    return index
+
+
+def test_the_search_prefers_index_entries_and_titles_to_texts(monkeypatch):
+    pytest.importorskip("sphinx")
+    check_search = load("check_search")
+    pages = {"text": ("Words", "night sky joint plan", ()), "title": ("Joint plan", "night joint plan", ())}
+    pages["entry"] = "Change log", "night joint plan", ("bad night",)
+    index = index_of_pages(pages)
+    assert check_search.search(index, "joint plan") == ["title", "entry", "text"]
+    assert check_search.search(index, "bad night") == ["entry"]
+    assert check_search.search(index, "sky") == ["text"]
+    assert check_search.search(index, "tonight") == []
+    monkeypatch.setattr(check_search, "QUERIES", {"joint plan": "title", "sky": "title", "tonight": "text"})
+    assert list(check_search.find_misses(index)) == [
+        "search for 'sky': title must be the first page, got text",
+        "search for 'tonight': text must be the first page, got no page",
+    ]
+
+
+def test_pages_that_users_search_for_exist():
+    check_search = load("check_search")
+    assert len(check_search.QUERIES) - check_search.MOST_MISSES >= 18
+    assert {f"{page}.rst" for page in check_search.QUERIES.values()} <= {page.name for page in DOCS.glob("*.rst")}
+    for page in ("architecture", "bibliography", "changes", "testing"):
+        assert (DOCS / f"{page}.rst").read_text().startswith(":nosearch:\n")
+
+
 @pytest.mark.parametrize("path", sorted((DOCS / "inventories").glob("*.txt")), ids=lambda path: path.stem)
 def test_inventories_list_names_that_exist(path):
     address, entries = load("inventories").read(path)
@@ -145,7 +185,7 @@ def test_inventories_are_written_as_sphinx_reads_them(tmp_path):
 def table_words(path):
     """Return the words of the table that compares packages, without references."""
     table = re.search(r"^(={5,} .*?)\n\n", path.read_text(), re.MULTILINE | re.DOTALL).group(1)
-    return Counter(re.sub(r"\[\w\d\]_", "", table).split())
+    return Counter(re.sub(r"\[\w\d\]_|={5,}", "", table).split())
 
 
 def test_the_readme_compares_packages_as_the_page_with_the_sources_does():
