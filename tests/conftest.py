@@ -16,6 +16,7 @@ from compile_once import compile_once
 from packages import HERS
 from rfpsurvey import _cli
 from rfpsurvey._cli import process as _process
+from rfpsurvey._cli.application import COMMANDS
 from rfpsurvey._common import plugins as _plugins
 
 # The imported modules and the collected tests exist until the end. Excluding them from garbage collection saves time.
@@ -130,9 +131,16 @@ def small():
 
 @pytest.fixture
 def run(monkeypatch, capsys):
-    """Run the command line in this process, and return the exit code, the output and the errors."""
+    """Run the command line in this process, and return the exit code, the output and the errors.
 
-    def call(*arguments):
+    Commands print all that they can print, unless the function is called with ``brief=True``.
+    """
+
+    monkeypatch.setenv("COLUMNS", "100")
+
+    def call(*arguments, brief=False):
+        if not brief and arguments and arguments[0] in COMMANDS and not {"--help", "-h", "--quiet"} & {*arguments}:
+            arguments = [*arguments, "--verbose"]
         monkeypatch.setattr(sys, "argv", ["rfpsurvey", *map(str, arguments)])
         for name in ("_prepare", "_on_signals"):  # pytest has its own standard streams and signals
             monkeypatch.setattr(_process, name, lambda *_: None)

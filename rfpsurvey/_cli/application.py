@@ -6,10 +6,13 @@ import os
 import re
 import sys
 import warnings
+from collections.abc import Callable
 from concurrent.futures import BrokenExecutor
-from contextlib import suppress
+from contextlib import redirect_stdout, suppress
+from contextvars import ContextVar
 from functools import cache, partial
 from importlib import import_module
+from inspect import Parameter, Signature, signature
 from itertools import pairwise
 from textwrap import indent
 from typing import Annotated
@@ -21,6 +24,22 @@ import rfpsurvey as rs
 
 # The exit code that a shell reports for a program that writes to a closed pipe.
 READER_GONE = 141
+TASKS = {
+    "Plan a tile": ("plan", "score", "compare-allocators", "paths", "convert", "instruments"),
+    "Plan and live with a survey": (
+        "tile",
+        "survey",
+        "night",
+        "record",
+        "status",
+        "diff",
+        "export",
+        "select",
+        "potential",
+    ),
+    "Compare designs of positioners": ("compare", "design", "probability", "benchmark"),
+}
+"""Commands of each task, in the order in which they are listed."""
 COMMANDS = {
     "compare": "Compare the patrol areas, fibers and collisions of instruments, and the targets lost to collisions.",
     "compare-allocators": "Compare allocators on the same field.",
@@ -56,6 +75,10 @@ MODULES = {
     "potential": "select",
 }
 """Modules of the commands that share a module with the command of its name."""
+FLAGS = {"verbose": "Print more than the result.", "quiet": "Print only warnings and errors."}
+"""Options of all commands, and their help."""
+VERBOSE = ContextVar("VERBOSE", default=False)
+"""Whether the command prints more than its result."""
 INNER = {"standard_error": "precision"}
 """Names in messages of the library that are not the names of options, and the names of these options."""
 
@@ -70,12 +93,41 @@ class Command(TyperCommand):
         super().__init__(*args, help=text, **options)
 
 
+def with_level(function: Callable) -> Callable:
+    """Return the function of a command with the options --verbose and --quiet."""
+
+    def call(*, verbose: bool, quiet: bool, **options) -> object:
+        if verbose and quiet:
+            raise rs.InputError("either --verbose or --quiet must be given, got both")
+        VERBOSE.set(verbose)
+        if not quiet:
+            return function(**options)
+        with open(os.devnull, "w") as sink, redirect_stdout(sink):
+            return function(**options)
+
+    more = [
+        Parameter(
+            name,
+            Parameter.KEYWORD_ONLY,
+            annotation=Annotated[bool, typer.Option(f"--{name}", help=text)],
+            default=False,
+        )
+        for name, text in FLAGS.items()
+    ]
+    parameters = [p.replace(kind=Parameter.KEYWORD_ONLY) for p in signature(function).parameters.values()]
+    call.__signature__ = Signature([*parameters, *more])
+    call.__annotations__ = {parameter.name: parameter.annotation for parameter in [*parameters, *more]}
+    call.__name__, call.__doc__ = function.__name__, function.__doc__
+    vars(call).update({name: value for name, value in vars(function).items() if name == "keys"})
+    return call
+
+
 class Commands(TyperGroup):
     """The group of all commands."""
 
     def list_commands(self, ctx) -> list[str]:
         """Return the names of all commands."""
-        return list(COMMANDS)
+        return [name for names in TASKS.values() for name in names]
 
     def get_command(self, ctx, name: str):
         """Import a command and return it; return None if there is no command of this name."""
@@ -98,8 +150,9 @@ class Commands(TyperGroup):
 
     def format_commands(self, ctx, formatter) -> None:
         """Write the list of commands."""
-        with formatter.section("Commands"):
-            formatter.write_dl(list(COMMANDS.items()))
+        for task, names in TASKS.items():
+            with formatter.section(task):
+                formatter.write_dl([(name, COMMANDS[name]) for name in names])
 
 
 def announce_compilation() -> None:
@@ -127,7 +180,8 @@ app = typer.Typer(
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
     add_completion=False,
-    context_settings={"help_option_names": ["-h", "--help"]},
+    # the help is as wide as the terminal
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 200},
 )
 
 

@@ -1,5 +1,6 @@
 """Commands whose options are keys, and functions that several commands share."""
 
+import re
 from collections.abc import Callable, Iterable
 from contextlib import AbstractContextManager, nullcontext
 from functools import partial
@@ -14,7 +15,7 @@ from astropy.table import Table
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
-from rfpsurvey._cli.results import PICTURES, print_text
+from rfpsurvey._cli.results import PICTURES, tell
 from rfpsurvey._common.files import WRITABLE, check_output, check_separate, is_csv, is_fits
 from rfpsurvey._common.io import check_fits_text, write_bytes
 from rfpsurvey._common.read_tables import is_number, read_table
@@ -34,8 +35,8 @@ from rfpsurvey._survey.key_types import Key, Part, add, build, keys_of
 from rfpsurvey._survey.plan_file import DEFAULT_CENTER, allocator_of
 from rfpsurvey.errors import InputError, check_choice, used_elsewhere
 
-model_of = partial(model_from_keys, tell=print_text)
-read_catalog = partial(catalog_from_keys, tell=print_text)
+model_of = partial(model_from_keys, tell=tell)
+read_catalog = partial(catalog_from_keys, tell=tell)
 
 
 def parse_center(text: str | None):
@@ -260,7 +261,9 @@ def command(
                 if unmet and typed.get("strict"):
                     raise typer.Exit(UNMET)
 
-        parameters = [] if argument is None else [_argument(keys[argument])]
+        others = ["a plan file (.toml)"] * with_file
+        others += ["the folder of a survey"] * (with_file and "output.folder" in keys)
+        parameters = [] if argument is None else [_argument(keys[argument], others)]
         parameters += [_option(keys[name], text) for name, text in spelled.items()]
         parameters += _further(Given(title, keys, {}), with_file=with_file)
         if strict:
@@ -269,7 +272,8 @@ def command(
         call.__signature__ = Signature(parameters)
         call.__annotations__ = {parameter.name: parameter.annotation for parameter in parameters}
         call.__name__, call.__doc__, call.keys = function.__name__, function.__doc__, keys
-        (app or _main.app).command(title, cls=Command, epilog=epilog)(call)
+        summary = (function.__doc__ or "").partition("\n")[0]  # typer would cut it
+        (app or _main.app).command(title, cls=Command, epilog=epilog, short_help=summary)(_main.with_level(call))
         return function
 
     return decorate
@@ -336,15 +340,19 @@ def _parameter(name: str, annotation: Any, default: object, info: Any) -> Parame
 
 
 def _help(key: Key) -> str:
-    """Return the help of a key, with its default value."""
-    shown = key_objects.default_text(key).strip('"')
+    """Return the help of a key, with its unit and its default value."""
+    shown, text = key_objects.default_text(key).strip('"'), key.text
     shown = "the current folder" if shown == "." else shown
-    return key.text if shown in ("...", "false") else f"{key.text} By default, {shown}."
+    if key.unit is not None and f"({key.unit}" not in text:
+        text = re.sub(r"\.( |$)", rf" ({key.unit}).\1", text, count=1)
+        shown = shown if shown == "..." else f"{float(shown):g} {key.unit}"
+    return text if shown in ("...", "false") else f"{text} By default, {shown}."
 
 
-def _argument(key: Key) -> Parameter:
-    """Return the parameter of the words without an option."""
-    info = typer.Argument(help=_help(key), metavar=key.name.partition(".")[0].upper())
+def _argument(key: Key, others: list[str]) -> Parameter:
+    """Return the parameter of the words without an option; ``others`` are further meanings of its value."""
+    text = _help(key) + (f" Or {' or '.join(others)}." if others else "")
+    info = typer.Argument(help=text, metavar=key.name.partition(".")[0].upper())
     return _parameter("argument", list[str] | None if list in key.kinds else str | None, None, info)
 
 

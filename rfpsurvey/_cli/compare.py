@@ -22,6 +22,9 @@ from rfpsurvey._survey.key_objects import Given
 from rfpsurvey._survey.key_types import Located
 from rfpsurvey.errors import listed
 
+RESULT = ("instrument", "allocator", "positioners", "targets", "assigned", "usable", "probability", "loss")
+"""Columns of a comparison of instruments that are printed without --verbose."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class CompareKeys:
@@ -118,6 +121,10 @@ def compare(keys: CompareKeys) -> None:
 
 def _print_comparison(table, *, with_margins: bool) -> None:
     """Print a comparison of instruments."""
+    if not _results.is_verbose():
+        _results.print_table(table[list(RESULT)])
+        _results.print_text(f"{table.meta['way']}; numbers are per field; loss: fraction of fibers lost to collisions")
+        return
     _results.print_text(table.meta["way"])
     for name, model in table.meta["instruments"].items() if with_margins else ():
         values = ", ".join(f"{key} {value:g}" for key, value in model.get("margins", {}).items())

@@ -14,13 +14,15 @@ from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import process as _process
 from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.results import files, print_text
+from rfpsurvey._cli.results import files, is_verbose, print_text
 from rfpsurvey._common.read_tables import parse_number
 from rfpsurvey._studies.design import LossOptions
 from rfpsurvey._studies.design_rows import AXES
 from rfpsurvey._survey import key_groups
 from rfpsurvey._survey.key_types import Located, Part
 
+BRIEF = 6
+"""Largest number of designs that are printed without --verbose."""
 MOST_ROWS = 30
 USUAL, NODES = {"central_arm": "8.25", "ratio": "1:2", "pitch": "24:34", "clearance": "2.25"}, 6
 """Default values and limits of the parameters of a scan, and the default number of grid nodes per parameter."""
@@ -196,11 +198,16 @@ def finish(table, output) -> None:
             f"on the Pareto front ({wanted}): {len(front)}"
         )
         front.sort(next(iter(table.meta["objectives"])), reverse=True)
-        _print_rows(front[:MOST_ROWS], table)
-        if len(front) > MOST_ROWS:
-            print(f"and {len(front) - MOST_ROWS} more designs on the front")
+        most = MOST_ROWS if is_verbose() else BRIEF
+        _print_rows(front[:most], table)
+        if len(front) > most:
+            print(f"and {len(front) - most} more designs on the front")
         if "instrument" in table.colnames:
             _print_improvements(table)
+        if not is_verbose():
+            if output.path is not None:
+                print(f"wrote {output.path}")
+            return
         try:
             sensitivities = rs.design.design_sensitivities(table)
         except rs.InputError as error:  # there are too few designs

@@ -10,15 +10,12 @@ import typer
 import rfpsurvey as rs
 from rfpsurvey._cli import application as _main
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.results import print_text
+from rfpsurvey._cli.results import MOST_ROWS, is_verbose, print_text
 from rfpsurvey._common.files import check_parent, check_separate
 from rfpsurvey._field.plan_files import FORMATS, TABLE, as_plan, read_plan, write_plan
 from rfpsurvey._survey.export import tile_at
 from rfpsurvey._survey.key_types import Located
 from rfpsurvey.errors import listed, number_of
-
-MOST_FILES = 40
-"""Largest number of files that are printed."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,13 +68,14 @@ def export(keys: ExportKeys) -> list[str]:
     names = ("tiles", "format", "output", "instrument", "overwrite", "alternates")
     options = {name: getattr(keys, name) for name in names}
     table = rs.Survey.read(keys.folder).export(**options, progress=sys.stderr.isatty())
-    for row in table[:MOST_FILES]:
+    most = len(table) if is_verbose() else MOST_ROWS
+    for row in table[:most]:
         numbers = f"{row['n_assigned']} of {row['n_positioners']} positioners have a target"
         unmet = f"; not met: {row['unmet']}" if row["unmet"] else ""
         unmet += f"; alternates: {row['alternates']}" if keys.alternates else ""
         print_text(f"tile {row['tile']}: {row['file']}, {numbers}, {row['n_colliding']} in collision{unmet}")
-    if len(table) > MOST_FILES:
-        print(f"and {number_of(len(table) - MOST_FILES, 'more file')}")
+    if len(table) > most:
+        print(f"and {number_of(len(table) - most, 'more file')}")
     n_left = len(table.meta["left_out"])
     total = f"{number_of(len(table), 'file')} with {int(table['n_assigned'].sum())} targets written to {keys.output}"
     print(total + (f"; {number_of(n_left, 'tile')} left out" if n_left else ""))
@@ -85,6 +83,7 @@ def export(keys: ExportKeys) -> list[str]:
 
 
 @_main.app.command(cls=_main.Command)
+@_main.with_level
 def convert(
     source: Annotated[
         Path,

@@ -27,8 +27,6 @@ from rfpsurvey._survey.night.plan import night_facts, plan_night
 from rfpsurvey._survey.night.settings import night_limits
 from rfpsurvey.errors import listed, number_of
 
-MOST_ROWS = 40
-"""Largest number of tiles that are printed."""
 COLUMNS = ("tile", "start", "exposure_time", "airmass", "hour_angle", "moon_separation", "merit", "backups")
 
 
@@ -184,13 +182,14 @@ def _limits(given: dict, instrument: str | None) -> object:
 
 def _print(plan) -> None:
     """Print the numbers and the tiles of a night."""
-    _results.print_facts(night_facts(plan), 12, 44)
-    table = plan.table[[name for name in COLUMNS if name in plan.table.colnames]][:MOST_ROWS]
+    _results.print_facts(night_facts(plan, is_short=not _results.is_verbose()), 12, 44)
+    most = len(plan) if _results.is_verbose() else _results.MOST_ROWS
+    table = plan.table[[name for name in COLUMNS if name in plan.table.colnames]][:most]
     table["start"] = np.asarray(table["start"].strftime("%H:%M:%S"), dtype=str)
     if len(table):
         _results.print_table(table)
-    if len(plan) > MOST_ROWS:
-        print(f"and {number_of(len(plan) - MOST_ROWS, 'more tile')}")
+    if len(plan) > most:
+        print(f"and {number_of(len(plan) - most, 'more tile')}")
     reasons = plan.not_observed["reason"].tolist()
     counts = sorted({reason: reasons.count(reason) for reason in reasons}.items(), key=lambda item: -item[1])
     if counts:

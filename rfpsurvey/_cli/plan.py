@@ -14,7 +14,7 @@ from rfpsurvey._assignment.clock import end_on_interrupt
 from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.results import print_text
+from rfpsurvey._cli.results import is_verbose, print_text
 from rfpsurvey._common.executors import released
 from rfpsurvey._field.recorded import north_of_date
 from rfpsurvey._instruments.facts import arm_classes, fact_texts
@@ -269,27 +269,36 @@ def instruments(keys: InstrumentsKeys) -> None:
         _print_columns(models)
 
 
+RESULT = ("fibers", "field radius", "pitch", "central arm", "eccentric arm", "min separation", "collision type")
+RESULT += ("coverage", "multiplicity")
+"""Facts of an instrument that are printed without --verbose."""
+
+
 def _print_list() -> None:
-    print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>10}{'layout':>10}  title")
+    print(f"{'name':<10}{'positioners':>12}{'type':>6}{'field':>11}  title")
     for known, model in every_instrument().items():
         kind, field = model.focal_plane.collision_type, f"{2 * model.field_radius.to_value('deg'):.3f} deg"
-        text = f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>10}{model.layout:>10}  {model.title}"
-        print_text(text, " " * 50)
+        print_text(f"{known:<10}{len(model.focal_plane):>12}{kind:>6}{field:>11}  {model.title}", " " * 41)
 
 
 def _print_instrument(model: Instrument) -> None:
     """Print the description of an instrument, quantities derived from its design, and the source of every value."""
     print_text(f"{model.name}: {model.title}" if model.title else model.name)
     print(f"{len(model.focal_plane)} positioners, layout {model.layout}")
-    for paragraph in model.notes.strip().split("\n\n"):
+    for paragraph in model.notes.strip().split("\n\n") if is_verbose() else ():
         print_text(paragraph, "")
         if paragraph:
             print()
-    for label, text in _texts_of(model).items():
-        print_text(f"{label:<22}{text}", " " * 22)
+    texts = _texts_of(model)
+    for label in texts if is_verbose() else [label for label in RESULT if label in texts]:
+        print_text(f"{label:<22}{texts[label]}", " " * 22)
+    if not is_verbose():
+        print("the sources of all values: --verbose")
+        return
     print()
     for row in model.to_table():
-        print_text(f"{row['name']} = {row['value']} {row['unit']}".rstrip(), "    ")
+        unit = f" in {row['unit']}" if row["unit"] and row["value"].endswith(" values") else f" {row['unit']}"
+        print_text(f"{row['name']} = {row['value']}{unit}".rstrip(), "    ")
         print_text(f"    {row['status']}: {row['source']}", "        ")
 
 

@@ -9,6 +9,7 @@ from dataclasses import replace
 from functools import partial
 from multiprocessing.context import SpawnContext, SpawnProcess
 from pathlib import Path
+from shutil import get_terminal_size
 from textwrap import fill
 from time import perf_counter
 
@@ -16,6 +17,7 @@ import numpy as np
 from astropy.table import QTable
 
 import rfpsurvey as rs
+from rfpsurvey._cli.application import VERBOSE
 from rfpsurvey._cli.process import set_up_worker, tell_if_interrupted
 from rfpsurvey._common.executors import released
 from rfpsurvey._common.files import is_fits, suffix_of
@@ -28,7 +30,9 @@ from rfpsurvey.report import estimate_facts, model_facts, tiling_facts
 
 PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
-WIDTH = 100  # largest number of characters in a line of text
+MIN_WIDTH, MOST_ROWS = 60, 8
+"""Smallest width of text, and largest number of rows or files that are printed without --verbose."""
+DETAILS = ("method", "instrument", "arm model", "definition of the completeness")
 LONG = 44  # number of characters of the labels of a tiling
 MAP = (
     "The color gives the collision probability of each positioner. The probabilities of single positioners "
@@ -38,9 +42,21 @@ MAP = (
 )
 
 
+def is_verbose() -> bool:
+    """Return whether the command prints more than its result."""
+    return VERBOSE.get()
+
+
 def print_text(text: str, indent: str = "  ") -> None:
-    """Print text in lines of at most ``WIDTH`` characters; all lines except the first one begin with ``indent``."""
-    print(fill(text, WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
+    """Print text in lines as wide as the terminal; all lines except the first one begin with ``indent``."""
+    width = max(get_terminal_size((100, 24)).columns, MIN_WIDTH)
+    print(fill(text, width, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False))
+
+
+def tell(text: str) -> None:
+    """Print text with --verbose."""
+    if is_verbose():
+        print_text(text)
 
 
 def print_facts(facts: Mapping[str, object], width: int = 12, wide: int = 34) -> None:
@@ -53,9 +69,9 @@ def print_facts(facts: Mapping[str, object], width: int = 12, wide: int = 34) ->
 def print_model(name: str, allocator: str, summary: Mapping, parameters: Mapping) -> None:
     """Print the first lines of the summary of a survey: the instrument, the allocator, the model and the epoch."""
     print(f"{name}, allocator {allocator}")
-    if "model" in summary:  # the value is missing in surveys that earlier versions wrote
+    if "model" in summary and is_verbose():  # the value is missing in surveys that earlier versions wrote
         print_text(f"model: {summary['model']}")
-    if (text := summary.get("epoch")) and (parameters.get("epoch") is None or "the time" in text):
+    if is_verbose() and (text := summary.get("epoch")) and (parameters.get("epoch") is None or "the time" in text):
         print_text(f"epoch: {text}")
 
 
@@ -112,7 +128,8 @@ def finish_tiling(tiling: "rs.Tiling", shown: dict, output) -> None:
         draw=lambda: rs.plot.draw_tiling(tiling, **shown),
         report=(tiling, {"data": output.path}),
     ):
-        print_facts(tiling_facts(tiling), 10, LONG)
+        facts = tiling_facts(tiling)
+        print_facts({label: facts[label] for label in facts if is_verbose() or label not in DETAILS}, 10, LONG)
 
 
 def finish_comparison(table, plans: dict, output) -> None:
@@ -124,11 +141,11 @@ def finish_comparison(table, plans: dict, output) -> None:
         report=(table, {"data": output.path, "plans": plans}),
     ):
         kept = f", margins: {table.meta['margins']}" if "margins" in table.meta else ""
+        print_table(table)
         print_text(
             f"{table.meta['instrument']}, arm model {table.meta['arm_model']}{kept}; {table.meta['blind_science']} "
             "science targets could be assigned if arms did not collide"
         )
-        print_table(table)
         for name, sentences in table.meta["unmet"].items():
             for sentence in sentences:
                 print_text(f"{name}: not met: {sentence}")
@@ -153,7 +170,7 @@ def finish_estimate(estimate, model: "rs.Instrument", output) -> None:
         print_text(f"{model.name}, arm model {shape}{kept}, {estimate.method}, {estimate.estimand} targets")
         print_facts(estimate_facts(estimate), 0)
         meta = {k: v for k, v in estimate.meta.items() if k not in ("confidence", "interval")}
-        print_text(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
+        tell(", ".join(f"{k} {v:.6g}" if isinstance(v, float) else f"{k} {v}" for k, v in meta.items()))
 
 
 def finish_table(table, draw, output) -> None:
@@ -168,11 +185,16 @@ def finish_table(table, draw, output) -> None:
 
 def print_summary(tile: "rs.Tile") -> None:
     """Print the summary of a tile, one value per line."""
-    name, values = tile.provenance["instrument"]["name"], tile.provenance["parameters"]
+    name, values, verbose = tile.provenance["instrument"]["name"], tile.provenance["parameters"], is_verbose()
     layout = f", {tile.provenance['instrument'].get('layout', '')}" if values["allocator"] == "scored" else ""
     print(f"{name}{layout.rstrip(', ')}, allocator {values['allocator']}")
     for text in tile_problems(tile):
         print_text(text)
+    print_facts(tile_facts(tile, is_short=not verbose), 10)
+    _print_objectives(tile)
+    if not verbose:
+        print(f"{'seconds':<34}{sum(tile.summary['seconds'].values()):>10.3f}")
+        return
     if "ra_deg" in values:
         turn = f"position angle {values['position_angle_deg']:g} deg from the north of {values['north_of']}"
         where = f"center {values['ra_deg']:.6f} {values['dec_deg']:+.6f} deg"
@@ -183,8 +205,6 @@ def print_summary(tile: "rs.Tile") -> None:
         print("collisions were found from positions on the focal plane, which do not require a field center")
     for label, text in model_facts(tile).items():
         print_text(f"{label}: {text}")
-    print_facts(tile_facts(tile), 10)
-    _print_objectives(tile)
     kinds = {"standard", "sky"} & set([] if tile.completeness is None else tile.completeness["kind"])
     if kinds and not values["requirements"]:
         example = " ".join(f"--constraint {kind}=20" for kind in sorted(kinds))
@@ -204,19 +224,19 @@ def print_summary(tile: "rs.Tile") -> None:
 def _print_objectives(tile: "rs.Tile") -> None:
     """Print the value of each objective, the gap to the best possible plan, and the requirements that are not met."""
     summary = tile.summary
-    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES):
+    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES if is_verbose() else 2):
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
     if summary.get("gap") is not None:
         model = summary["search"].get("model", "")
         print(f"{'gap to the best plan':<34}{summary['gap']:>10.4f}  {model}".rstrip())
-    for sentence in summary.get("unmet", []):
+    for sentence in summary.get("unmet", []) if is_verbose() else ():
         print_text(f"not met: {sentence}")
     _print_rules(tile)
 
 
 def _print_rules(tile: "rs.Tile") -> None:
     """Print the verdict on each constraint."""
-    if tile.rules is None:
+    if tile.rules is None or not is_verbose():  # the first lines state what is not met
         return
     print("constraint, number, limit, verdict, and positioners that violate it:")
     for verdict in rules_of_tile(tile.rules):
@@ -245,16 +265,6 @@ def options_of(keys) -> dict:
     """Return the parameters that `plan_survey` and `selection_probabilities` have in common, for their keys."""
     same = {name: getattr(keys, name) for name in ("epoch", "lost_in_collision", "order", "rng")}
     return same | {"passes": keys.tiles.passes, "folder": keys.output.folder, "resume": keys.output.resume}
-
-
-def check_replan(keys) -> None:
-    """Raise an error if the rest of a survey is to be planned, but there is no survey."""
-    folder = keys.output.folder
-    if keys.output.replan and (folder is None or not (folder / "survey.json").is_file()):
-        raise rs.InputError(
-            "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
-            f"{folder or keys.catalog.path or 'no folder'}"
-        )
 
 
 @contextmanager
@@ -307,10 +317,10 @@ class _Context(SpawnContext):
 
 def _print_survey(survey: "rs.Survey", seconds: float) -> None:
     """Print the summary of a survey, one value per line."""
-    s, parameters = survey.summary, survey.provenance["parameters"]
+    s, parameters, verbose = survey.summary, survey.provenance["parameters"], is_verbose()
     print_model(survey.provenance["instrument"]["name"], parameters["allocator"], s, parameters)
-    print_facts(survey_facts(survey))
-    if survey.joint is not None:
+    print_facts(survey_facts(survey, is_short=not verbose))
+    if survey.joint is not None and verbose:
         last = survey.joint[survey.joint["iteration"] == survey.joint["iteration"].max()]
         before = ", before arms without a path lose their targets" if "n_without_path" in s else ""
         print_text(
@@ -324,11 +334,12 @@ def _print_survey(survey: "rs.Survey", seconds: float) -> None:
                 "the bounds apply to plans in which every tile meets each requirement at least as well as in the first "
                 f"plan; no plan makes more than {levels[-1]['bound_without_requirements']} visits"
             )
-    if survey.rules is not None:
+    if survey.rules is not None and verbose:
         print("constraints, with the numbers of tiles with each verdict, and the first tiles that fail:")
         print_table(survey.rules)
-    print("visits and completeness after each pass:")
-    print_table(survey.completeness)
+    if verbose:
+        print("visits and completeness after each pass:")
+        print_table(survey.completeness)
     if s.get("collision_rate_assigned", s["collision_rate"]) > MANY:
         print_text(f"many arms collide; these allocators avoid collisions: {key_groups.AVOIDING}")
     print(f"computing time {seconds:.1f} s, {1e3 * seconds / s['n_tiles']:.2f} ms per tile")

@@ -103,10 +103,10 @@ def select(keys: SelectKeys, given: Given) -> None:
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken
     check_separate([output, stored], paths)
     _app.check_outputs(keys.output, paths, (".fits",))
-    tiling = read_tiles(keys.tiles, tell=_results.print_text)
+    tiling = read_tiles(keys.tiles, tell=_results.tell)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
     of_catalog = keys if survey is None else replace(survey, catalog=keys.catalog, options=keys.options)
-    targets = targets_of(of_catalog, model, tell=_results.print_text)
+    targets = targets_of(of_catalog, model, tell=_results.tell)
     if survey is not None:
         visits = {} if keys.catalog.visits is None else {"visits": keys.catalog.visits}
         targets = state_in(place, catalog=targets, **visits)
@@ -147,7 +147,7 @@ def _print_selection(selection: "rs.SelectionProbabilities", allocator: str, sec
     _results.print_model(selection.provenance["instrument"]["name"], allocator, s, selection.provenance["parameters"])
     _results.print_facts(selection_facts(selection))
     plans = s["n_tiles"] * s["n_realizations"]
-    print(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")
+    _results.tell(f"computing time {seconds:.1f} s, {1e3 * seconds / plans:.2f} ms per tile and realization")
 
 
 @dataclass(frozen=True)
@@ -210,9 +210,9 @@ def potential(keys: PotentialKeys, _: Given) -> None:
     if keys.survey is not None:
         survey = rs.Survey.read(keys.survey)
         tiles = tiles if tiles.path else replace(tiles, path=keys.survey / "tiles.fits")
-    tiling = read_tiles(tiles, tell=_results.print_text)
+    tiling = read_tiles(tiles, tell=_results.tell)
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
-    points = targets_of(keys, model, tell=_results.print_text)
+    points = targets_of(keys, model, tell=_results.tell)
     tiling = tiles_of(tiling, points, model)
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
     begin = perf_counter()

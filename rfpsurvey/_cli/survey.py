@@ -15,7 +15,7 @@ from rfpsurvey._cli import application as _main
 from rfpsurvey._cli import command as _app
 from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
-from rfpsurvey._cli.results import print_facts, print_text
+from rfpsurvey._cli.results import print_facts, print_text, tell
 from rfpsurvey._common.io import write_table
 from rfpsurvey._common.read_tables import is_number, parse_number
 from rfpsurvey._survey import key_objects
@@ -58,13 +58,23 @@ def survey(keys: SurveyKeys, given: Given) -> list[str]:
     rfpsurvey survey hats_catalog --tiles tiles.ecsv \
         --set scheduler=tcp://10.0.0.1:8786 --folder plan
     """
-    _results.check_replan(keys)
+    _check_replan(keys)
     paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.cadences
     _app.check_outputs(keys.output, (*paths, keys.conditions.get("path")))
-    call = call_of(keys, tell=print_text)
+    call = call_of(keys, tell=tell)
     with _app.seed_of(keys.catalog.path), _results.workers(keys) as executor:
         options = {"folder": keys.output.folder, "resume": keys.output.resume or keys.output.replan}
         return _results.run(executor, call | options, keys.output, given).summary["unmet"]
+
+
+def _check_replan(keys) -> None:
+    """Raise an error if the rest of a survey is to be planned, but there is no survey."""
+    folder = keys.output.folder
+    if keys.output.replan and (folder is None or not (folder / "survey.json").is_file()):
+        raise rs.InputError(
+            "--replan must be used with the folder of a survey, such as rfpsurvey survey FOLDER --replan, got "
+            f"{folder or keys.catalog.path or 'no folder'}"
+        )
 
 
 def values_of(path: Path | None) -> dict | None:
@@ -78,6 +88,7 @@ def values_of(path: Path | None) -> dict | None:
 
 
 @_main.app.command(cls=_main.Command)
+@_main.with_level
 def record(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     table: Annotated[
@@ -181,6 +192,7 @@ MOST_FAILURES = 20
 
 
 @_main.app.command(cls=_main.Command)
+@_main.with_level
 def status(
     folder: Annotated[Path, typer.Argument(help="Folder of a survey, which rfpsurvey survey --folder wrote.")],
     until: Annotated[
@@ -235,7 +247,7 @@ def status(
         raise typer.Exit(len(damaged) > 0)
     outputs = SimpleNamespace(path=output, plot=plot, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
-    survey, state = rs.Survey.read(folder), state_in(folder, tell=_results.print_text, until=until)
+    survey, state = rs.Survey.read(folder), state_in(folder, tell=_results.tell, until=until)
     progress = survey_status(survey, state)
     with _results.files(
         outputs,
@@ -243,22 +255,9 @@ def status(
         draw=lambda: rs.plot.plot_survey_status(progress)[0].figure,
         report=(state, {}),
     ):
-        _results.print_facts(status_facts(progress), 24)
-        print("tiles of each pass by state:")
-        _results.print_table(QTable(rows=progress.meta["tiles"]))
-        if progress.meta["areas"]:
-            print("visits of each area on the sky (right ascension and declination in deg):")
-            areas = QTable(rows=progress.meta["areas"])
-            areas.remove_columns(["n_targets", "n_complete", "n_failed", "n_left"])
-            _results.print_table(areas)
-        if len(progress) > 1:
-            print("visits of each class of targets:")
-            short = progress.copy()
-            short.rename_columns(progress.colnames, [name.removeprefix("n_") for name in progress.colnames])
-            _results.print_table(short)
-        if progress.meta["failures"]:
-            print("positioners whose visits failed in several tiles:")
-            _results.print_table(QTable(rows=progress.meta["failures"][:MOST_FAILURES]))
+        _results.print_facts(status_facts(progress, is_short=not _results.is_verbose()), 24)
+        if _results.is_verbose():
+            _print_tables(progress)
         if until is None and not progress.meta["is_planned"]:
             _results.print_text(
                 "the last plan does not take all recorded events into account; to plan the rest: rfpsurvey survey "
@@ -266,10 +265,27 @@ def status(
             )
 
 
-MOST_TILES = 40
+def _print_tables(progress: QTable) -> None:
+    """Print the progress by pass, by area and by class, and the positioners that failed."""
+    print("tiles of each pass by state:")
+    _results.print_table(QTable(rows=progress.meta["tiles"]))
+    if progress.meta["areas"]:
+        print("visits of each area on the sky (right ascension and declination in deg):")
+        areas = QTable(rows=progress.meta["areas"])
+        areas.remove_columns(["n_targets", "n_complete", "n_failed", "n_left"])
+        _results.print_table(areas)
+    if len(progress) > 1:
+        print("visits of each class of targets:")
+        short = progress.copy()
+        short.rename_columns(progress.colnames, [name.removeprefix("n_") for name in progress.colnames])
+        _results.print_table(short)
+    if progress.meta["failures"]:
+        print("positioners whose visits failed in several tiles:")
+        _results.print_table(QTable(rows=progress.meta["failures"][:MOST_FAILURES]))
 
 
 @_main.app.command(cls=_main.Command)
+@_main.with_level
 def diff(
     first: Annotated[Path, typer.Argument(help="Folder of a survey, such as a copy of its first plan.")],
     second: Annotated[Path, typer.Argument(help="Folder of another plan of the survey.")],
@@ -291,7 +307,7 @@ def diff(
     outputs = SimpleNamespace(path=output, plot=None, report=report, overwrite=overwrite)
     _app.check_outputs(outputs)
     table = diff_surveys(first, second)
-    state = None if report is None else state_in(second, tell=_results.print_text)
+    state = None if report is None else state_in(second, tell=_results.tell)
     with _results.files(outputs, write=partial(write_table, table), report=(state, {"changes": table})):
         _print_differences(table, first, second)
 
@@ -314,7 +330,8 @@ def _print_differences(table: QTable, first: Path, second: Path) -> None:
         words[tile].append(reason)
     for tile, n in numbers.items():
         words[tile].append(f"{number_of(n, 'fiber')} changed")
-    for tile in list(words)[:MOST_TILES]:
+    most = len(words) if _results.is_verbose() else _results.MOST_ROWS
+    for tile in list(words)[:most]:
         _results.print_text(f"tile {tile}: {', '.join(words[tile])}")
-    if len(words) > MOST_TILES:
-        print(f"and {number_of(len(words) - MOST_TILES, 'more tile')}")
+    if len(words) > most:
+        print(f"and {number_of(len(words) - most, 'more tile')}")

@@ -129,9 +129,7 @@ def tile(keys: TileKeys, _: Given) -> None:
             fibers=rs.tiling.Fibers(keys.fibers, lost_in_collision=keys.lost_in_collision),
             allocator=_options_of(keys.options, by_fibers=by_fibers),
             radius=keys.radius,
-            centers=rs.tiling.Centers(
-                read_tiles(tiles, tell=_results.print_text), tiles.declination, tiles.position_angle
-            ),
+            centers=rs.tiling.Centers(read_tiles(tiles, tell=_results.tell), tiles.declination, tiles.position_angle),
             exclude=keys.exclude or [],
             visits=keys.catalog.visits,
             progress=sys.stderr.isatty(),
@@ -248,7 +246,8 @@ def score(keys: ScoreKeys, _: Given) -> list[str]:
     """
     tile, _ = _scored(keys)
     _results.finish(tile, keys.output)
-    _results.print_text(f"columns: {tile.provenance['catalog']['columns']}")
+    if _results.is_verbose():
+        _results.print_text(f"columns: {tile.provenance['catalog']['columns']}")
     return tile.summary.get("unmet", [])
 
 
@@ -348,7 +347,8 @@ def paths(keys: PathsKeys, _: Given) -> None:
             f"smallest distance of two arms {made.smallest_distance.to_value(u.mm):.3f} mm, minimum separation "
             f"{separation:.3f} mm (proven at all times)"
         )
-        for ids, reason in made.groups:
+        groups = [*made.groups]
+        for ids, reason in groups if _results.is_verbose() else groups[: _results.MOST_ROWS]:
             _results.print_text(f"{', '.join(ids)}: {reason}")
         print(f"{len(made.time)} break points of {len(made.arrives)} arms")
 

@@ -5,7 +5,7 @@ Tables, files, reports, printed summaries and docstrings read these descriptions
 
 import re
 import textwrap
-from collections.abc import Callable, Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from html import escape
 from importlib import import_module
@@ -86,9 +86,14 @@ class Fact:
     zero: bool = False  # whether the number is shown if it is 0
 
 
-def facts_of(facts: Iterable[Fact], summary: Mapping) -> dict[str, object]:
-    """Return the labels and values that are shown of a summary; the labels of details begin with spaces."""
+def facts_of(facts: Iterable[Fact], summary: Mapping, names: Sequence[str] | None = None) -> dict[str, object]:
+    """Return the labels and values that are shown of a summary; the labels of details begin with spaces.
+
+    ``names`` are those of the numbers to show, in their order; by default, all numbers are shown.
+    """
     labeled = {}
+    if names is not None:
+        facts = sorted((fact for fact in facts if fact.name in names), key=lambda fact: names.index(fact.name))
 
     def add(of: str, indent: str) -> None:
         for fact in (fact for fact in facts if fact.of == of):

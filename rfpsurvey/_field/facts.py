@@ -121,9 +121,14 @@ The functions `plan_tile` and `score_tile` add the numbers without such a functi
 """
 
 
-def tile_facts(tile: Tile) -> dict:
+TILE_RESULT = ("n_assigned", "n_lost_to_rules", "n_out_of_reach", "n_wrong_fiber", LOST, "n_positioners", RATE)
+TILE_RESULT += ("n_required_observed", "n_unmet", "n_reachable", "n_targets", "n_dropped", "n_skipped", "n_unusable")
+"""The numbers of the shortest summary of a tile."""
+
+
+def tile_facts(tile: Tile, *, is_short: bool = False) -> dict:
     """Return the labels and values of the numbers of a tile; most numbers that are 0 are omitted."""
-    return facts_of(TILE_FACTS, tile.summary)
+    return facts_of(TILE_FACTS, tile.summary, TILE_RESULT if is_short else None)
 
 
 def tile_problems(tile: Tile) -> list[str]:

@@ -138,7 +138,7 @@ def fact_texts(facts: dict) -> dict[str, str]:
         elif np.isnan(number):
             text = "undefined"
         else:
-            text = FORMATS.get(name, "{:.5g}").format(number) + (f" {unit}" if unit else "")
+            text = FORMATS.get(name, "{:.5g}").format(number) + (f" {unit}".replace(" 1 / ", " per ") if unit else "")
         texts[label] = text
     return texts
 

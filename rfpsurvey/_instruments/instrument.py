@@ -397,4 +397,4 @@ def _text(value) -> str:
 
 def _short(value) -> str:
     text = str(value)
-    return text if len(text) <= 60 else f"{len(value)} entries" if isinstance(value, list) else text[:57] + "..."
+    return text if len(text) <= 60 else f"{len(value)} values" if isinstance(value, list) else text[:57] + "..."

@@ -173,19 +173,19 @@ class Skies(NamedTuple):
 
 
 def surrogate(lattice: Lattice, skies: Skies | None = None) -> Loss:
-    """For ``independent``: interpolate between precomputed values."""
+    """Interpolation between precomputed values, for ``independent``."""
     central_arm, ratio, distance = lattice.shape
     value = surrogate_probability(central_arm * u.mm, central_arm * ratio * u.mm, 1 * u.mm, distance * u.mm)
     return Loss(1.0, float(value), 0.0 if lattice.collision_type == 1 else SURROGATE_ERROR)
 
 
 def quadrature(lattice: Lattice, skies: Skies) -> Loss:
-    """For ``independent``: integrate over the targets of a positioner and its neighbors."""
+    """Integration over the targets of a positioner and its neighbors, for ``independent``."""
     return Loss(1.0, *interior_probability(lattice.shape, N_POINTS, skies.rng))
 
 
 def conditional(lattice: Lattice, skies: Skies) -> Loss:
-    """For ``allocated``: average over all configurations that the queues allow, exactly for each realization."""
+    """Exact average over all configurations that the queues allow, for each realization, for ``allocated``."""
 
     def look(points, plane, core):
         assigned = core & (allocate(plane, points, allocator=QUEUEING).target_of_positioner >= 0)
@@ -198,12 +198,12 @@ def conditional(lattice: Lattice, skies: Skies) -> Loss:
 
 
 def optimal(lattice: Lattice, skies: Skies) -> Loss:
-    """For ``collision_free``: compare the best plan without collisions with the best plan that ignores collisions."""
+    """Comparison of the best plan without collisions with the best that ignores them, for ``collision_free``."""
     return _compare(lattice, skies, "optimal")
 
 
 def repair(lattice: Lattice, skies: Skies) -> Loss:
-    """For ``collision_free``: compare a plan by the allocator ``repair`` with the best plan that ignores collisions."""
+    """Comparison of a plan by ``repair`` with the best plan that ignores collisions, for ``collision_free``."""
     return _compare(lattice, skies, "repair")
 
 

@@ -130,13 +130,19 @@ SURVEY_FACTS = (
 """The numbers of the summary of a survey that are shown."""
 
 
-def survey_facts(survey) -> dict:
+SURVEY_RESULT = ("completeness", "completeness_targets", "n_visits_observed", "n_visits_requested", "n_targets")
+SURVEY_RESULT += ("n_tiles", "unusual_tiles", FIBERS, COLLISIONS, "n_unmet", "n_required_observed", "n_without_path")
+"""The numbers of the shortest summary of a survey."""
+
+
+def survey_facts(survey, *, is_short: bool = False) -> dict:
     """Return the labels and values of the numbers of a survey, and the number of targets with each outcome."""
     tiles, names = survey.tiles, np.asarray(survey.tiles["tile"])
     at_zero = (np.asarray(tiles["ra"]) == 0) & (np.asarray(tiles["dec"]) == 0)
     is_unusual = {"without targets": np.isnan(tiles["completeness"]), "at ra 0, dec 0": at_zero}
     unusual = {label: brief(tuple(names[rows].tolist())) for label, rows in is_unusual.items() if rows.any()}
-    return facts_of(SURVEY_FACTS, {**survey.summary, "unusual_tiles": unusual})
+    values = {**survey.summary, "unusual_tiles": unusual}
+    return facts_of(SURVEY_FACTS, values, SURVEY_RESULT if is_short else None)
 
 
 MISSING, EXCESS, VIOLATED = "missing", "too many", "violations"

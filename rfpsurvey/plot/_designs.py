@@ -123,7 +123,7 @@ def plot_designs(
     if {x, y} == set(objectives):
         order = np.flatnonzero(front)[np.argsort(across[front], kind="stable")]
         ax.plot(across[order], up[order], color="black", linewidth=1, zorder=2.5)
-        better = f"front: no other design is better in both objectives ({front.sum()} of {len(table)})"
+        better = f"Pareto front ({front.sum()} of {len(table)} designs)"
         handles.append(legend_line(color="black", linewidth=1, marker="o", markerfacecolor="none", label=better))
     for name, designs in mark.items():
         _mark(ax, name, values_of(designs, x), values_of(designs, y))

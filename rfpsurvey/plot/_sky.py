@@ -53,8 +53,8 @@ def plot_tiling(
 
     The axes are right ascension and declination or, near a pole, offsets from the mean direction of the tiles. If
     tiles extend to more than 60 deg from their mean direction, the plot is a map of the whole sky. The color scale
-    extends from the smallest to the largest value. Tiles of later passes are filled up to a smaller radius, so that
-    tiles of earlier passes can be seen; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
+    extends from the smallest to the largest value. If tiles overlap, their fields are filled up to a smaller radius, so
+    that no tile hides another one; ``rfpsurvey.plot.draw_tiling`` draws a panel for each pass.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def plot_tiling(
     handles = list(draw_field(ax, sky_map, targets, region))
     if several:
         style = {**OPEN_CIRCLE, "markersize": 8, "markeredgecolor": "0.3"}
-        handles.insert(0, legend_line(label="field (fill is smaller in later passes)", **style))
+        handles.insert(0, legend_line(label="field (the fill is smaller where tiles overlap)", **style))
     legend_below(ax, handles)
     only = f", {color.replace('_', ' ')} {levels[0]:.4g}" if len(levels) == 1 and color != "pass" else ""
     ax.set_title(number_of(len(table), "tile") + only, pad=14 if whole else None)
@@ -169,11 +169,17 @@ def _new_axes(sky_map, rims, *, scale, legend):
     return new_axes(max(width, 2.5) + beside, max(height, 1.4) + (1.35 if legend else 1.0))
 
 
-def _filled_part(number):
-    """Return the fraction of the radius of a field that is filled, which is smaller in later passes."""
+def _filled(centers: SkyCoord, number: np.ndarray, radius: float) -> np.ndarray:
+    """Return the radius up to which each field is filled, so that no tile hides another one.
+
+    The fill of a field ends half way to the next tile of its pass, and is smaller in later passes.
+    """
     passes, rank = np.unique(number, return_inverse=True)
-    step = min(0.25, 0.6 / max(len(passes) - 1, 1))
-    return 1 - step * rank.reshape(-1)
+    step, half = min(0.25, 0.6 / max(len(passes) - 1, 1)), np.full(len(number), np.inf)
+    for k in range(len(passes)):
+        if (rows := np.flatnonzero(rank == k)).size > 1:
+            half[rows] = centers[rows].match_to_catalog_sky(centers[rows], 2)[1].deg / 2
+    return np.clip(half, SMALLEST * radius, radius) * (1 - step * rank.reshape(-1))
 
 
 def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: str, kwargs: dict) -> None:
@@ -185,7 +191,7 @@ def draw_tiles(ax: Axes, sky_map: SkyMap, table: QTable, radius: float, name: st
     table = table[order]
     centers, values = SkyCoord(table["ra"], table["dec"]), np.asarray(table[name], dtype=float)
     levels = np.unique(values[np.isfinite(values)])
-    inner = radius * _filled_part(np.asarray(table["pass"]))
+    inner = _filled(centers, np.asarray(table["pass"]), radius) if len(levels) > 1 else np.full(len(table), radius)
     if sky_map.kind == "whole":
         rims = None
         polygons, row_of = outlines_of_whole_sky(centers, inner)
@@ -251,6 +257,8 @@ def draw_field(ax, sky_map: SkyMap, targets, region):
         yield legend_line(markersize=3, label=number_of(len(targets), "target"), **style)
 
 
+SMALLEST = 0.3
+"""Smallest part of the radius of a field that is filled."""
 MOST_PANELS = 8
 WIDE = 1.6
 """Panels with a larger ratio of width to height are arranged in one column, and all other panels in two columns."""

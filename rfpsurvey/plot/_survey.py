@@ -92,13 +92,15 @@ def plot_completeness(survey: Survey, *, ax: Axes | None = None, **kwargs: objec
 
 
 N_BINS = 20
+CUT = 2.0
+"""A bar that is higher than the second highest bar by this factor is cut."""
 
 
 def plot_selection(found: SelectionProbabilities, *, ax: Axes | None = None, **kwargs: object) -> Axes:
     """Plot a histogram of the probabilities with which the targets of a survey are observed.
 
     The colors of the bars show the number of tiles in which at least one positioner reaches the target. Targets that no
-    tile reaches are not drawn.
+    tile reaches are not drawn. A bar that is much higher than all others is cut, with its number beside it.
 
     Parameters
     ----------
@@ -147,7 +149,14 @@ def plot_selection(found: SelectionProbabilities, *, ax: Axes | None = None, **k
     title = f"{number_of(s['n_targets'], 'target')}, {number_of(s['n_realizations'], 'realization')}: "
     title += f"{s['n_always_observed']} always observed, {s['n_never_observed']} never"
     title += f" ({s['n_unreachable']} in reach of no tile, not drawn)" if s["n_unreachable"] else ""
-    highest = 1.05 * max(below.max(), 1)
+    second, most = np.sort(below)[-2:]
+    highest = 1.05 * max(most, 1)
+    if most > CUT * second > 0:  # the other bars would be too small
+        highest = CUT * second
+        k = int(np.argmax(below))
+        side = -1 if k > N_BINS / 2 else 1
+        style = {"ha": "right" if side < 0 else "left", "va": "top", "xytext": (14 * side, -4)}
+        ax.annotate(f"\N{UPWARDS ARROW} {most:.0f}", (x[k], highest), textcoords="offset points", **style)
     ax.set(xlim=(0, 1), ylim=(0, highest), xlabel="selection probability", ylabel="number of targets")
     ax.set_title(title, fontsize="small")
     legend_below(ax, handles, title="number of tiles that reach the target", title_fontsize="small")

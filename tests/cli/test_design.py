@@ -133,7 +133,7 @@ def test_ratios_have_colors_and_markers_and_the_front_has_a_name(table):
     ax = rs.plot.plot_designs(table)
     words = [text.get_text() for text in ax.get_legend().get_texts()]
     assert words[:-1] == [f"arm ratio {ratio:g}" for ratio in np.unique(table["ratio"])]
-    assert words[-1] == f"front: no other design is better in both objectives ({table['pareto'].sum()} of {len(table)})"
+    assert words[-1] == f"Pareto front ({table['pareto'].sum()} of {len(table)} designs)"
     ax.figure.draw_without_rendering()  # matplotlib computes colors from values when it draws a figure
     one, other = ax.collections[0], ax.collections[2]
     assert len(one.get_paths()[0].vertices) != len(other.get_paths()[0].vertices)

@@ -320,7 +320,7 @@ def test_commands_list_their_keys_and_have_few_options(run, command):
     assert code == 0
     assert tomllib.loads(out).keys() >= {"instrument", "output"}
     n = sum(line.startswith(("  --", "  -h, --")) for line in run(command, "--help")[1].splitlines())
-    assert n <= 21  # with --help
+    assert n <= 23  # with --help, --verbose and --quiet
 
 
 def test_constraints_are_those_of_the_library():

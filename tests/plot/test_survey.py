@@ -243,7 +243,7 @@ def test_a_wide_region_has_a_low_figure():
 def test_fields_of_later_passes_have_a_legend_entry(survey):
     """Regression: no part of a plot explained why the sizes of fills differ."""
     labels = [text.get_text() for text in rs.plot.plot_tiling(survey).get_legend().get_texts()]
-    assert labels == ["field (fill is smaller in later passes)"]
+    assert labels == ["field (the fill is smaller where tiles overlap)"]
     one = rs.Tiling.from_table(QTable({"ra": [15, 16] * u.deg, "dec": [20, 21] * u.deg}))
     assert rs.plot.plot_tiling(one).get_legend() is None
 

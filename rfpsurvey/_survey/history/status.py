@@ -165,14 +165,20 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     return describe(table, STATUS)
 
 
-def status_facts(status: QTable) -> dict:
+STATUS_RESULT = ("tiles", "observed", "partly observed", "planned", "n_targets", "n_complete", "n_requested")
+STATUS_RESULT += ("n_observed", "n_left", "n_planned", "n_failed", "n_expired")
+"""The numbers of the shortest status of a survey."""
+
+
+def status_facts(status: QTable, *, is_short: bool = False) -> dict:
     """Return the labels and values of the status of a survey."""
     values = {name: int(status[name][0]) for name in status.colnames if name.startswith("n_")}
     tiles = {name: sum(row.get(name, 0) for row in status.meta["tiles"]) for name in (*WORDS.values(), PAST)}
     dates = [date for date in status.meta["progress"]["date"] if date]
     first_and_last = f"{dates[0]} {dates[-1]}" if dates else None
     values |= {"generation": status.meta["generation"], "dates": first_and_last}
-    return facts_of(STATUS_FACTS, {**values, **tiles, "tiles": sum(tiles.values())})
+    values |= {**tiles, "tiles": sum(tiles.values())}
+    return facts_of(STATUS_FACTS, values, STATUS_RESULT if is_short else None)
 
 
 def _failures(state: SurveyState) -> list[dict]:

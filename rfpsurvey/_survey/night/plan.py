@@ -106,9 +106,9 @@ FACTS = (
 """The numbers of the plan of a night that are shown."""
 
 
-def night_facts(night: Night) -> dict:
+def night_facts(night: Night, *, is_short: bool = False) -> dict:
     """Return the labels and values of the plan of a night."""
-    return facts_of(FACTS, night.summary)
+    return facts_of(FACTS, night.summary, ("date", "n_tiles", "merit", "bound") if is_short else None)
 
 
 @describe_methods(METHODS)
