@@ -2,6 +2,7 @@
 
 from rfpsurvey._survey.cadences import Cadences
 from rfpsurvey._survey.continue_survey import continue_survey
+from rfpsurvey._survey.footprints import to_moc, to_regions
 from rfpsurvey._survey.history.diff import diff_surveys
 from rfpsurvey._survey.history.rule import VisitRule
 from rfpsurvey._survey.history.state import SurveyState
@@ -21,5 +22,7 @@ __all__ = [
     "diff_surveys",
     "plan_survey",
     "survey_status",
+    "to_moc",
+    "to_regions",
     "verify_survey",
 ]

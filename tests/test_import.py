@@ -53,7 +53,7 @@ def test_all_that_is_imported_is_declared():
     """Regression: Pillow and pyerfa were used, but not declared as dependencies."""
     root = Path(__file__).parent.parent
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
-    optional = [project["optional-dependencies"][name] for name in ("cuda", "distributed", "parquet")]
+    optional = [project["optional-dependencies"][name] for name in ("cuda", "distributed", "parquet", "regions")]
     lists = [project["dependencies"], *optional]
     declared = {re.match(r"[\w-]+", text)[0].lower().replace("_", "-") for names in lists for text in names}
     imported = set()

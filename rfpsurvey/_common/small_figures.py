@@ -89,14 +89,6 @@ def figure_of_tiles(table: QTable) -> str:
     """Return a small figure of tiles on the sky, around their mean direction, for notebooks; east is to the left."""
     vectors = from_lonlat(table["ra"].to_value(u.rad), table["dec"].to_value(u.rad))
     states = np.asarray(table["state"]).astype(str) if "state" in table.colnames else np.full(len(table), "tiles")
-    colors = {
-        "tiles": BLUE,
-        "planned": BLUE,
-        "done": GRAY,
-        "dropped": LIGHT,
-        "past": LIGHT,
-        "partly": LIGHT,
-        "bad": RED,
-    }
+    colors = {"tiles": BLUE, "planned": BLUE, "done": GRAY, **dict.fromkeys(["dropped", "past", "partly"], LIGHT)}
     groups = {name: (colors.get(name, RED), states == name) for name in dict.fromkeys(states.tolist())}
     return dots(around(vectors, vectors.sum(axis=0)), groups)

@@ -59,6 +59,7 @@ def provenance(instrument, plane):
     name = instrument if isinstance(instrument, str) else getattr(instrument, "name", "focal plane")
     return {
         "instrument": name,
+        "layout": getattr(as_instrument(instrument) if name is instrument else instrument, "layout", "not stated"),
         "n_positioners": len(plane),
         "n_neighbor_pairs": len(plane.arrays.neighbors),
         "min_separation_mm": plane.arrays.separation,

@@ -225,6 +225,7 @@ def collision_probability(
             f"{wanted:g}"
         )
     meta = {"confidence": precision.confidence, "interval": precision.interval, "n_positioners": len(plane)}
+    meta |= {} if instrument is None else {"layout": instrument.layout}
     meta |= {} if precision.estimator == "mean" else {"estimator": precision.estimator}
     meta |= result.pop("meta")
     meta["choice"] = meta.get("certain") or choice

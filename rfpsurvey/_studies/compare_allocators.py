@@ -151,6 +151,7 @@ def compare_allocators(
         instrument=provenance["instrument"]["name"],
         catalog=provenance["catalog"],
         arm_model=provenance["instrument"]["arm_model"],
+        layout=provenance["instrument"]["layout"],
         **({"margins": str(margins)} if (margins := instrument.focal_plane.margins) else {}),
         software=software,
         parameters=parameters,

@@ -7,7 +7,7 @@ from rfpsurvey.report._blocks import estimate_facts, model_facts, tiling_facts
 
 if TYPE_CHECKING:
     from rfpsurvey.report._views import NotebookView, notebook_view
-    from rfpsurvey.report._write import check_report, write_report
+    from rfpsurvey.report._write import check_report, write_aladin, write_report
 
 __all__ = [
     "NotebookView",
@@ -16,8 +16,10 @@ __all__ = [
     "model_facts",
     "notebook_view",
     "tiling_facts",
+    "write_aladin",
     "write_report",
 ]
 
-_IMPORTED_ON_USE = {"_views": ("NotebookView", "notebook_view"), "_write": ("check_report", "write_report")}
+_WRITE = ("check_report", "write_aladin", "write_report")
+_IMPORTED_ON_USE = {"_views": ("NotebookView", "notebook_view"), "_write": _WRITE}
 __getattr__ = importer(__name__, _IMPORTED_ON_USE)

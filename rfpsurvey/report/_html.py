@@ -164,7 +164,7 @@ MOST_ITEMS = 30  # largest number of values that the page shows of a list in the
 NEEDS = {
     "focal_plane": ["long_table", "focal_plane_drawing"],
     "motion": ["long_table", "focal_plane_drawing", "focal_plane"],
-    "sky_map": ["sky_map_drawing"],
+    "sky_map": ["long_table", "sky_map_drawing"],
     "status": ["long_table", "focal_plane_drawing", "sky_map_drawing", "sky_map"],
 }  # further scripts that a view requires
 PAPER = (510, 690)  # widths (pt) of the text on upright and on wide paper, both A4 and US letter
@@ -200,7 +200,7 @@ def _template() -> "Template":
     from jinja2 import Environment, FunctionLoader, StrictUndefined
 
     environment = Environment(
-        loader=FunctionLoader(_asset),
+        loader=FunctionLoader(asset),
         autoescape=True,
         undefined=StrictUndefined,
         finalize=lambda value: value if hasattr(value, "__html__") else text_of(value),
@@ -225,8 +225,8 @@ def _template() -> "Template":
             "LEAST_PRINT": LEAST_PRINT,
             "MOST_OPEN": MOST_OPEN,
             "groupby": groupby,
-            "style": _asset("page.css"),
-            "view_style": _asset("scripts/view.css"),
+            "style": asset("page.css"),
+            "view_style": asset("scripts/view.css"),
             "type": type,
             "zip": zip,
         },
@@ -238,10 +238,10 @@ def _script(kinds: tuple[str, ...]) -> str:
     """Return the script of a page with the given kinds of views; without views, the script only controls tables."""
     parts = dict.fromkeys(part for kind in kinds for part in (*NEEDS.get(kind, ()), kind))
     names = ["page.js", *(f"scripts/{part}.js" for part in (["shared", *parts] if kinds else []))]
-    return "\n" + "\n".join(_asset(name) for name in names)
+    return "\n" + "\n".join(asset(name) for name in names)
 
 
-def _asset(name: str) -> str:
+def asset(name: str) -> str:
     return (files("rfpsurvey.report") / name).read_text(encoding="utf-8")
 
 

@@ -29,11 +29,6 @@ def page_of_status(status: Table, where: str) -> Page:
     """Return a page on the status of a survey."""
     total, tiles = status[0], QTable(rows=status.meta["tiles"])
     done = int(tiles["observed"].sum())
-    highlights = {
-        f"of {int(total['n_requested'])} visits observed": int(total["n_observed"]),
-        "tiles observed": done,
-        "visits planned": int(total["n_planned"]),
-    }
     words = (
         "Left: the numbers of visits (left axis) and of tiles (right axis) that were observed up to each date. Right: "
         "for each class of targets, the fractions of the requested visits that are observed, planned, not assigned, "
@@ -46,8 +41,8 @@ def page_of_status(status: Table, where: str) -> Page:
     note = f"Observations until {until} are taken into account." if until else NOT_PLANNED
     blocks = [Facts("", status_facts(status)), *([] if status.meta["is_planned"] else [Text(note)])]
     sections = [
-        Section("Result", blocks),
         Section("Progress", [picture, *([Rows("Observed tiles and visits up to each date.", dates)] if dates else [])]),
+        Section("Result", blocks),
         Section("Classes", [Rows("The visits of each class of targets.", status, where or "survey_status")]),
         Section("Tiles", [Rows("The numbers of tiles of each pass by their state.", tiles)]),
     ]
@@ -61,11 +56,11 @@ def page_of_status(status: Table, where: str) -> Page:
         sections.append(Section("Areas", [Rows("The visits of each area (degrees).", QTable(rows=areas))]))
     lead = (
         f"{int(total['n_observed'])} of {number_of(int(total['n_requested']), 'visit')} are observed on "
-        f"{number_of(done, 'tile')}."
+        f"{number_of(done, 'tile')}, and {int(total['n_planned'])} are planned."
     )
-    provenance = {"events": status.meta["events"], "software": versions()}
+    provenance = {"layout": status.meta.get("layout", "not recorded"), "events": status.meta["events"]}
     title = f"Status of a survey with {status.meta['instrument']}"
-    return Page("Status", title, lead, highlights, sections, provenance)
+    return Page("Status", title, lead, {}, sections, provenance | {"software": versions()})
 
 
 def _by_class(visits: dict) -> dict:
@@ -92,7 +87,7 @@ def page_of_state(state: SurveyState, where: str, changes: Table | None = None, 
     page, blocks = page_of_status(status, where), [status_view(History(survey, state), status, changes)]
     if unknown := changes.meta.get("unknown"):
         blocks.append(Text(f"Changed fibers of tiles without an earlier plan are not known: {listed(unknown, 20)}."))
-    page.sections.insert(1, Section("Nights and tiles", blocks))
+    page.sections.insert(0, Section("Nights and tiles", blocks))
     if night is not None:
         page.sections.insert(1, Section(f"Plan of the night {night.summary['date']}", blocks_of_night(night)))
     return page

@@ -1,6 +1,7 @@
 """Pages on tables: scans of designs, comparisons of allocators and of instruments, estimates, and any table."""
 
 from collections.abc import Mapping
+from itertools import chain
 
 import astropy.units as u
 import numpy as np
@@ -13,7 +14,7 @@ from rfpsurvey._studies.design_rows import instruments_of
 from rfpsurvey._studies.losses import SURROGATE_ERROR
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._studies.surrogate import AXES, surrogate_spline
-from rfpsurvey.errors import number_of
+from rfpsurvey.errors import listed, number_of
 from rfpsurvey.plot import draw_instruments, plot_allocators, plot_designs
 from rfpsurvey.report._blocks import (
     Facts,
@@ -67,7 +68,9 @@ def page_of_allocators(table: Table, where: str, plans: Mapping[str, Tile], max_
         f"One field of {meta['instrument']} was planned with {len(table)} allocators. If arms could pass each other, "
         f"{meta['blind_science']} science targets could be observed."
     )
-    unmet = [f"{name}: {sentence}" for name, sentences in meta["unmet"].items() for sentence in sentences]
+    lacking = dict.fromkeys(chain(*meta["unmet"].values()))
+    unmet = [f"{listed(n for n, own in meta['unmet'].items() if text in own)}: {text}" for text in lacking]
+    words += f" Not met: {listed(unmet, 2)}." if unmet else ""
     notes = (
         "usable: number of science fibers without a collision. loss: fraction by which usable is smaller than the "
         "number of science targets that could be observed if arms could pass each other. gap: relative difference "

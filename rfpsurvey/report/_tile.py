@@ -61,17 +61,8 @@ def page_of_tile(
     name = tile.provenance["instrument"]["name"]
     counts = f"{summary['n_assigned']} of {summary['n_positioners']} positioners have a target"
     arms = f"{summary['n_colliding'] or 'none'} of the arms {'is' if summary['n_colliding'] == 1 else 'are'}"
-    highlights = {
-        f"of {summary['n_positioners']} positioners assigned": summary["n_assigned"],
-        "in collision": summary["n_colliding"],
-        "collision rate of assigned arms": summary.get("collision_rate_assigned", np.nan),
-    }
-    if summary.get("n_out_of_reach"):
-        highlights["targets out of reach"] = summary["n_out_of_reach"]
-    if summary.get("unmet"):
-        highlights["constraints not met"] = len(summary["unmet"])
-    if "n_in_field" in summary:
-        highlights = {"targets in the field": summary["n_in_field"], **highlights}
+    highlights = {"targets in the field": summary["n_in_field"]} if "n_in_field" in summary else {}
+    highlights["collision rate of assigned arms"] = summary.get("collision_rate_assigned", np.nan)
     result = [Facts("Request", _asked(tile)), Facts("Result", tile_facts(tile)), *_objectives(tile)]
     result += [] if paths is None else [motion_facts(paths)]
     sections = [Section("Focal plane", [_view(tile, where, plans, max_rows, paths)])]  # on the first screen
@@ -81,12 +72,14 @@ def page_of_tile(
         unknown = number_of(verdicts.count(NOT_CHECKABLE), "constraint")
         met = f"No constraint is violated; not checkable: {unknown}."
         unmet = summary.get("unmet") or [met if NOT_CHECKABLE in verdicts else "All constraints are met."]
-        blocks = [Text(list(unmet))]
+        blocks = (
+            [Text(list(unmet))] if len(unmet) > 2 or not summary.get("unmet") else []
+        )  # others are in the first lines
         if tile.rules is not None:
             caption = "Verdict on each constraint, with the positioners whose fibers violate it."
             rows = QTable(rows=rules_of_tile(tile.rules), names=tile.rules.colnames)
             blocks.append(Rows(caption, rows, marks={PASS: "good", FAIL: "bad", NOT_CHECKABLE: "open"}))
-        sections.append(Section("Constraints", blocks))
+        sections += [Section("Constraints", blocks)] if blocks else []
     if tile.completeness is not None:
         sections.append(Section("Completeness", _completeness(tile)))
     sections.append(Section("Collisions", _collisions(tile, where or "the table of the tile")))

@@ -23,6 +23,9 @@ NUMBERS = ("ra", "dec", "theta", "phi", "tip_x", "tip_y", "clearance")
 CLASSES = ("kind", "fiber_type", "spectrograph", "category", "priority")
 """Columns of the table of a tile that the view shows: numbers with a unit, and classes of targets and fibers."""
 
+FEWEST = 10
+"""Smallest number of targets from which the page computes positions on the sky."""
+
 
 def focal_plane_view(plans: Mapping[str, Tile], still: list, max_rows: int | None = None) -> View:
     """Return the interactive view of one or several plans of a tile; the keys of ``plans`` are their names."""
@@ -55,6 +58,7 @@ def view_data(plans: Mapping[str, Tile]) -> dict:
         "n": len(table),
         "instrument": text_of(tile.instrument),
         "position_angle": tile.provenance["parameters"].get("position_angle_deg"),
+        "sky": _sky(tile),
         "separation": geometry["min_separation_mm"],
         "arm_model": geometry.get("arm_model", ""),
         "obstacles": geometry["obstacles_mm"],
@@ -67,6 +71,25 @@ def view_data(plans: Mapping[str, Tile]) -> dict:
         "reasons": list(IDLE_REASONS),
         "plans": [_plan(name, tile_of_plan) for name, tile_of_plan in plans.items()],
     }
+
+
+def _sky(tile):
+    """Return the complex polynomial from the focal plane (mm) to the tangent plane of the center of the field (rad).
+
+    It is fitted to the targets of fibers. The result is None without positions on the sky, or with few targets.
+    """
+    p, table = tile.provenance["parameters"], tile.table[np.asarray(tile.table["status"]) == "assigned"]
+    if "ra_deg" not in p or len(table) < FEWEST:
+        return None
+    center = SkyCoord(p["ra_deg"], p["dec_deg"], unit="deg")
+    places = SkyCoord(table["ra"], table["dec"]).transform_to(center.skyoffset_frame())
+    z = table["tip_x"].to_value(u.mm) + 1j * table["tip_y"].to_value(u.mm)
+    size = np.abs(z).max() or 1.0
+    z, lon, lat = z / size, places.lon.wrap_at(180 * u.deg).to_value(u.rad), places.lat.to_value(u.rad)
+    r2 = np.abs(z) ** 2
+    terms = np.column_stack([z, np.ones(len(z)), z * r2, z.conj(), z * r2 * r2])
+    fit = np.linalg.lstsq(terms, np.tan(lon) + 1j * np.tan(lat) / np.cos(lon))[0] / size ** np.array([1, 0, 3, 1, 5])
+    return {"center": [p["ra_deg"], p["dec_deg"]], "terms": np.column_stack([fit.real, fit.imag]).tolist()}
 
 
 def _plan(name, tile):

@@ -7,6 +7,8 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import numpy as np
+from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._common.files import check_output, to_path
@@ -15,6 +17,7 @@ from rfpsurvey._field.tile import Tile
 from rfpsurvey._studies.compare_instruments import PARTS
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._survey.columns import survey_facts
+from rfpsurvey._survey.footprints import COLORS, fields_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.night.plan import Night
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, part_of, selection_facts
@@ -26,14 +29,15 @@ from rfpsurvey.errors import (
     check_keywords,
     check_whole,
     items_of,
+    listed,
     number_of,
     refusal,
     short,
 )
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_tiling
 from rfpsurvey.report import _tables
-from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
-from rfpsurvey.report._html import html_of
+from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, json_of, tiling_facts
+from rfpsurvey.report._html import asset, html_of
 from rfpsurvey.report._status import page_of_state, page_of_status
 from rfpsurvey.report._tile import check_paths, page_of_tile
 from rfpsurvey.report._views import check_plans, sky_view
@@ -49,8 +53,6 @@ def page_of_survey(survey: Survey, where: str) -> Page:
     if not where:
         where = "Survey.tiles" if survey.folder is None else f"tiles.fits of the folder {survey.folder.name}"
     highlights = {
-        "tiles": s["n_tiles"],
-        f"of {s['n_visits_requested']} visits observed": s["n_visits_observed"],
         "completeness": s["completeness"],
         "fraction of usable positioners": s["fiber_use"],
         "collision rate of assigned arms": s.get("collision_rate_assigned", "unknown"),
@@ -70,20 +72,20 @@ def page_of_survey(survey: Survey, where: str) -> Page:
         Section("Tiles", [Rows("The tiles of the survey in the order of the tiling.", survey.tiles, where)]),
     ]
     if s.get("unmet") or survey.rules is not None:
-        blocks = [Text(list(s["unmet"]))] if s.get("unmet") else []
+        blocks = [Text(list(s["unmet"]))] if len(s.get("unmet", ())) > 2 else []  # else see the lead
         if survey.rules is not None:
             blocks.append(Rows("Number of tiles with each verdict, for each constraint.", survey.rules))
-        sections.insert(2, Section("Constraints", blocks))
+        sections[2:2] = [Section("Constraints", blocks)] if blocks else []
     visits = f"{s['n_visits_observed']} of {number_of(s['n_visits_requested'], 'visit')}"
     lead = f"{visits} of {number_of(s['n_targets'], 'target')} are observed on {number_of(s['n_tiles'], 'tile')}."
+    lead += f" Not met: {listed(s['unmet'], 2)}." if s.get("unmet") else ""
     return Page("Survey", f"A survey with {name}", lead, highlights, sections, provenance)
 
 
 def page_of_tiling(tiling: Tiling, where: str) -> Page:
     """Return the report page of a tiling."""
     summary, table = tiling.summary, tiling.table
-    highlights = {"tiles": len(tiling)}
-    highlights |= {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
+    highlights = {TILING[k]: summary[k] for k in ("completeness", "fiber_use") if isinstance(summary.get(k), float)}
     rows = Rows("The tiles in the order in which they are to be observed.", table, where or "Tiling.table")
     figure = draw_tiling(tiling)
     picture = Picture("The tiles on the sky.", figure, _about_passes(table, len(figure.axes)))
@@ -146,12 +148,6 @@ ABOUT = (
 def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
     """Return the report page of selection probabilities."""
     s, name = selection.summary, selection.provenance["instrument"]["name"]
-    highlights = {
-        "targets": s["n_targets"],
-        "realizations": s["n_realizations"],
-        "mean selection probability": s["mean_probability"],
-        "targets never observed": s["n_never_observed"],
-    }
     axes = plot_selection(selection)
     axes.set_title("")
     model = {"model": s["model"]} if s.get("model") else {}
@@ -160,8 +156,8 @@ def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
     targets = Rows("Targets in the order of the catalog.", table, where, len(selection) - len(table))
     realizations = Rows("Realizations.", selection.realizations, "SelectionProbabilities.realizations")
     sections = [
-        Section("Result", [Facts("", selection_facts(selection) | model)]),
         Section("Probabilities", [Picture("Selection probabilities of the targets.", axes, WORDS)]),
+        Section("Result", [Facts("", selection_facts(selection) | model)]),
         Section("Targets", [targets, Text(list(ABOUT))]),
         Section("Realizations", [realizations]),
     ]
@@ -170,6 +166,7 @@ def page_of_selection(selection: SelectionProbabilities, where: str) -> Page:
         f"subpriorities. Of {number_of(s['n_targets'], 'target')}, {s['n_always_observed']} are observed in all "
         f"realizations, {s['n_sometimes_observed']} in some, and {s['n_never_observed']} in none."
     )
+    highlights = {"mean selection probability": s["mean_probability"]}
     return Page("Selection", f"Selection probabilities with {name}", lead, highlights, sections, selection.provenance)
 
 
@@ -306,6 +303,52 @@ def write_report(
     content = html_of(page, max_rows).encode()
     with writing_to(path, ENDINGS, overwrite=overwrite) as temporary:
         temporary.write_bytes(content)
+
+
+def write_aladin(survey: "Survey | SurveyState", path: str | os.PathLike, *, overwrite: bool = False) -> None:
+    """Write an HTML page that shows the fields of tiles on images of the sky, with Aladin Lite.
+
+    Unlike reports, the page requires a network: it loads Aladin Lite and images from the servers of CDS.
+
+    Parameters
+    ----------
+    survey : Survey or SurveyState
+        The survey, as for `rfpsurvey.survey.to_regions`.
+    path : str or path-like
+        Path that ends in ``.html`` or ``.htm``.
+    overwrite : bool, optional
+        Whether to replace an existing file.
+
+    Raises
+    ------
+    InputError
+        If the path does not end in ``.html`` or ``.htm``, if the file exists and ``overwrite`` is False, or if
+        ``survey`` is another object.
+
+    Examples
+    --------
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> from astropy.coordinates import SkyCoord
+    >>> import astropy.units as u
+    >>> import rfpsurvey as rs
+    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=200, rng=1)
+    >>> survey = rs.plan_survey(sky, "moons", SkyCoord(["6h20m"], ["+23d"]))
+    >>> with TemporaryDirectory() as folder:
+    ...     rs.report.write_aladin(survey, Path(folder) / "sky.html")
+    ...     "requires a network" in (Path(folder) / "sky.html").read_text()
+    True
+    """
+    path = check_report(path, overwrite=overwrite)
+    centers, radius, _, words = fields_of(survey)
+    middle = SkyCoord(*centers.cartesian.xyz.value.mean(axis=1), representation_type="cartesian").spherical
+    size = min(2 * (centers.separation(SkyCoord(middle.lon, middle.lat)).deg.max() + radius), 180)
+    places = np.round(np.transpose([centers.ra.deg, centers.dec.deg]), 6)
+    own = [[word, COLORS.get(word, "gray"), places[words == word].tolist()] for word in np.unique(words).tolist()]
+    target = f"{middle.lon.deg:.6f} {middle.lat.deg:+.6f}"
+    text = json_of({"radius": radius, "target": target, "fov": size, "groups": own})
+    with writing_to(path, ENDINGS, overwrite=overwrite) as temporary:
+        temporary.write_text(asset("page.aladin.html").replace(">{}<", f">{text}<", 1), encoding="utf-8")
 
 
 def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None, options: dict) -> Page:

@@ -43,9 +43,11 @@ def open_browser(ignored=""):
             page = context.new_page()
             page.on("console", lambda message: problems.append(f"console: {message.text}"))
             page.on("pageerror", lambda error: problems.append(f"error: {error}"))
+            page.on("dialog", lambda dialog: (problems.append(f"dialog: {dialog.message}"), dialog.dismiss()))
             page.goto(own)
             return page
 
         yield visit
         browser.close()
-    assert [text for text in problems if not (ignored and text.startswith(ignored))] == []
+    found = [text for text in problems if not (ignored and text.startswith(ignored))]
+    assert not found, found

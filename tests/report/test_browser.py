@@ -153,6 +153,16 @@ def test_heads_and_numbers_of_a_table_end_at_the_same_place(visit, tmp_path):
         assert head == pytest.approx(cell, abs=1)
 
 
+def test_heads_have_no_boxes_on_paper(visit, tmp_path):
+    """Regression: Chromium does not repeat a head on the next page if the head contains the box of a button."""
+    rs.write_report(QTable({"number": np.arange(300), "other": np.arange(300)}), tmp_path / "page.html")
+    page = visit(tmp_path / "page.html")
+    page.emulate_media(media="print")
+    styles = page.evaluate("[...document.querySelectorAll('thead button')].map((e) => getComputedStyle(e).display)")
+    assert styles == ["contents"] * 2
+    assert page.evaluate("getComputedStyle(document.querySelector('thead')).display") == "table-header-group"
+
+
 @pytest.mark.parametrize(("n", "is_open"), [(100, True), (101, False)])
 def test_long_tables_are_closed_except_on_paper(visit, tmp_path, n, is_open):
     rs.write_report(QTable({"number": np.arange(n)}), tmp_path / "page.html")

@@ -188,7 +188,7 @@ def test_slider_calendar_and_curves_select_a_night(page):
 
 def test_a_click_on_a_tile_shows_its_fibers(page, plans):
     page.evaluate(f"{VIEW}.setNight(4); {VIEW}.choose(-1); {VIEW}.stage.fit()")
-    assert "3 failed visits of all tiles" in page.locator(".count").nth(1).inner_text()
+    assert "3 failed visits of all tiles" in page.locator(".count").nth(2).inner_text()
     page.locator("canvas").first.scroll_into_view_if_needed()
     box = page.locator("canvas").first.bounding_box()
     x, y = page.evaluate(f"{VIEW}.stage.toScreen({VIEW}.x[0], {VIEW}.y[0])")
@@ -196,9 +196,9 @@ def test_a_click_on_a_tile_shows_its_fibers(page, plans):
     name = page.evaluate(f"{VIEW}.name[{VIEW}.selected]")
     assert f"Tile {name}" in page.locator(".panel").first.inner_text()
     page.evaluate(f"{VIEW}.choose(0)")
-    assert "2 failed visits up to the selected night" in page.locator(".count").nth(1).inner_text()
+    assert "2 failed visits up to the selected night" in page.locator(".count").nth(2).inner_text()
     page.evaluate(f"{VIEW}.setNight(0)")
-    assert "0 failed visits up to the selected night" in page.locator(".count").nth(1).inner_text()
+    assert "0 failed visits up to the selected night" in page.locator(".count").nth(2).inner_text()
     page.evaluate(f"{VIEW}.setNight(4)")
     fibers = page.locator("canvas").nth(1)
     fibers.focus()

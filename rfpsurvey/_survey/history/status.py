@@ -150,6 +150,7 @@ def survey_status(survey: Survey, state: SurveyState) -> QTable:
     table.meta = {
         "made_by": "survey_status",
         "instrument": survey.provenance["instrument"]["name"],
+        "layout": survey.provenance["instrument"].get("layout", "not recorded"),
         "tiles": _tiles(survey, state),
         "areas": _areas(state.catalog, values),
         "progress": _progress(state, classes, observed),

@@ -100,12 +100,7 @@ class Scatter {
   }
 
   pick(x, y) {
-    let best = -1, least = 12 / this.stage.scale;
-    for (const k of this.owner.rows) {
-      const distance = Math.hypot(this.points[k][0] - x, this.points[k][1] - y);
-      if (distance < least) [best, least] = [k, distance];
-    }
-    return best;
+    return nearest(this.points.map(([px]) => px), this.points.map(([, py]) => py), x, y, 12 / this.stage.scale);
   }
 
   card(k) { return this.owner.card(k); }
@@ -119,10 +114,7 @@ class Scatter {
   choose(k) { this.owner.choose(k); }
 
   step(dx, dy) {
-    const [xs, ys] = [this.points.map(([x]) => x), this.points.map(([, y]) => y)];
-    if (this.owner.selected < 0) return this.owner.choose(0);
-    const next = this.stage.next(xs, ys, this.owner.selected, dx, dy, () => true);
-    return next < 0 ? undefined : this.owner.choose(next);
+    this.stage.step(this.points.map(([x]) => x), this.points.map(([, y]) => y), this.owner.selected, dx, dy);
   }
 }
 
@@ -134,7 +126,7 @@ class DesignsView {
     this.instrument = unpack(data.instrument, data.n);
     this.rows = Array.from({ length: data.n }, (_, k) => k);
     this.ranges = Object.fromEntries(Object.entries(this.columns).map(([name, values]) => {
-      const [low, high] = values.filter(Number.isFinite).reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+      const [low, high] = extent(values.filter(Number.isFinite));
       return [name, [low, high - low || 1]];
     }));
     const [first, second] = Object.keys(data.objectives);

@@ -11,12 +11,11 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.compared = this.plans[1] ?? null;
     this.row = new Map(this.id.map((name, k) => [name, k]));
     const reach = Math.max(...this.outer);
-    const around = (values) => values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
-    const [[x0, x1], [y0, y1]] = [around(this.x), around(this.y)];
+    const [[x0, x1], [y0, y1]] = [extent(this.x), extent(this.y)];
     this.stage = new Stage(this, [x0 - reach, y0 - reach, x1 + reach, y1 + reach], {
       flip: true, label: `Focal plane of ${data.instrument} with ${plural(n, "positioner")}. Arrow keys select positioners.`,
       keys: "Ctrl with the wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a neighbor. " +
-        "Enter: show the row in the table. Escape: end the selection." });
+        "A: restrict the table to the visible part. Enter: show the row in the table. Escape: end the selection." });
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.count = make("p", { class: "count", role: "status" });
     this.legend = make("ul", { class: "legend" });
@@ -58,7 +57,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
       box.append(first, second);
     }
     this.filterField = make("span");
-    const search = make("input", { type: "search", placeholder: "id", spellcheck: "false", autocomplete: "off" });
+    const search = make("input", { type: "search", placeholder: this.data.sky ? "id, or ra dec" : "id", spellcheck: "false", autocomplete: "off" });
     const find = make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
       make("label", {}, make("span", {}, "Positioner or target "), search));
     search.setAttribute("aria-label", "Search for a positioner or a target by its id");
@@ -118,7 +117,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
 
   filter() {
     const test = this.tests.get(this.filterBox.value);
-    this.visible = this.id.map((_, k) => Boolean(test(k)));
+    this.visible = this.id.map((_, k) => Boolean(test(k)) && this.stage.inArea(this.x[k], this.y[k]));
     const n = this.visible.filter(Boolean).length;
     this.count.textContent = `Shown: ${n} of ${plural(this.n, "positioner")}${this.compared ? `; ${this.plan.name} compared with ${this.compared.name}` : ""}.`;
     this.fillLegend();
@@ -158,11 +157,13 @@ class FocalPlaneView extends FocalPlaneDrawing {
   find(text) {
     if (!text) return;
     const found = this.matches(text);
-    if (!found.length) {
+    const place = coordinates(text);
+    if (!found.length && place && this.data.sky) this.findPlace(...this.fromSky(...place));
+    else if (!found.length) {
       this.panel.replaceChildren(make("p", {}, `This view contains no positioner and no target with the id ${text}. Targets without a ` +
         "positioner are in the view only if an idle positioner reaches them."));
-      return;
     }
+    if (!found.length) return;
     this.choose(found[0][0]);
     this.found = [...new Set(found.map(([k]) => k))];
     const sentences = found.map(([, words]) => make("p", { class: "why" }, words));
@@ -170,6 +171,16 @@ class FocalPlaneView extends FocalPlaneDrawing {
     const [xs, ys] = [this.found.map((k) => this.x[k]), this.found.map((k) => this.y[k])];
     const around = 4 * this.outer[this.selected];
     this.stage.fit([Math.min(...xs) - around, Math.min(...ys) - around, Math.max(...xs) + around, Math.max(...ys) + around]);
+  }
+
+  // Select the positioner whose center is closest to a point.
+  findPlace(x, y) {
+    const k = nearest(this.x, this.y, x, y);
+    if (k < 0) return this.panel.replaceChildren(make("p", {}, "The position is far from the field."));
+    const apart = Math.hypot(this.x[k] - x, this.y[k] - y);
+    this.choose(k);
+    this.panel.prepend(make("p", { class: "why" }, `${this.where(x, y)}: ${fixed(apart, 2)} mm from the center of this positioner${apart > this.outer[k] ? ", out of its reach" : ""}.`));
+    return this.stage.show(this.x[k], this.y[k], 30 / this.outer[k]);
   }
 
   // ---- differences
@@ -201,7 +212,10 @@ class FocalPlaneView extends FocalPlaneDrawing {
     return best;
   }
 
-  where(x, y) { return `x ${fixed(x, 2)}, y ${fixed(y, 2)} mm`; }
+  where(x, y) {
+    const place = this.data.sky ? this.toSky(x, y) : null;
+    return `x ${fixed(x, 2)}, y ${fixed(y, 2)} mm${place ? `; ra ${fixed(place[0], 4)}\u00b0, dec ${fixed(place[1], 4)}\u00b0` : ""}`;
+  }
 
   why(k, plan = this.plan) {
     if (plan.target_id[k]) return [];
@@ -253,19 +267,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.stage.draw();
   }
 
-  step(dx, dy) {
-    let from = this.selected;
-    if (from < 0) { // begin at the center of the plot
-      const distances = this.x.map((x, k) => (this.visible[k] ? Math.hypot(x - this.stage.x, this.y[k] - this.stage.y) : Infinity));
-      return this.choose(distances.indexOf(Math.min(...distances)));
-    }
-    from = this.stage.next(this.x, this.y, from, dx, dy, (k) => this.visible[k]);
-    if (from < 0) return undefined;
-    this.choose(from);
-    const [px, py] = this.stage.toScreen(this.x[from], this.y[from]);
-    if (px < 20 || py < 20 || px > this.stage.width - 20 || py > this.stage.height - 20) this.stage.show(this.x[from], this.y[from], 0);
-    return undefined;
-  }
+  step(dx, dy) { this.stage.step(this.x, this.y, this.selected, dx, dy, (k) => this.visible[k]); }
 
   // ---- table
 
@@ -312,12 +314,7 @@ class FocalPlaneView extends FocalPlaneDrawing {
     this.stage.show(this.x[k], this.y[k], 70 / this.outer[k]);
   }
 
-  enter() {
-    if (this.selected < 0) return;
-    this.details.open = true;
-    if (!this.table) this.fillTable();
-    this.table.mark(this.selected, true)?.querySelector("button").focus();
-  }
+  enter() { openRow(this); }
 }
 VIEWS.focal_plane = FocalPlaneView;
 

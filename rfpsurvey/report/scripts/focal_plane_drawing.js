@@ -178,6 +178,33 @@ class FocalPlaneDrawing {
     }
   }
 
+  // The tangent plane (rad, toward east and north) at a point of the focal plane: the polynomial of report/_views.py.
+  tangent(x, y) {
+    const r2 = x * x + y * y, terms = [[x, y], [1, 0], [x * r2, y * r2], [x, -y], [x * r2 * r2, y * r2 * r2]];
+    return this.data.sky.terms.reduce(([e, n], [re, im], k) => [e + re * terms[k][0] - im * terms[k][1], n + re * terms[k][1] + im * terms[k][0]], [0, 0]);
+  }
+
+  toSky(x, y) {
+    const [ra, dec] = this.data.sky.center, [sin, cos] = [Math.sin(dec * Math.PI / 180), Math.cos(dec * Math.PI / 180)];
+    const [e, n] = this.tangent(x, y);
+    const [east, forward] = [Math.atan2(e, cos - n * sin), Math.hypot(e, cos - n * sin)];
+    return [(ra + east * 180 / Math.PI + 360) % 360, Math.atan2(sin + n * cos, forward) * 180 / Math.PI];
+  }
+
+  // The inverse of toSky, by iterations with the linear term of the polynomial; points of the other hemisphere are NaN.
+  fromSky(ra, dec) {
+    const { center, terms: [[re, im]] } = this.data.sky;
+    const [east, d, d0] = [ra - center[0], dec, center[1]].map((v) => v * Math.PI / 180);
+    const near = Math.sin(d0) * Math.sin(d) + Math.cos(d0) * Math.cos(d) * Math.cos(east);
+    const goal = [Math.cos(d) * Math.sin(east), Math.cos(d0) * Math.sin(d) - Math.sin(d0) * Math.cos(d) * Math.cos(east)];
+    let [x, y] = near > 0 ? [0, 0] : [NaN, NaN];
+    for (let k = 0; k < 50; k += 1) {
+      const own = this.tangent(x, y), [e, n] = [goal[0] / near - own[0], goal[1] / near - own[1]];
+      [x, y] = [x + (e * re + n * im) / (re * re + im * im), y + (n * re - e * im) / (re * re + im * im)];
+    }
+    return [x, y];
+  }
+
   // Arrows toward north and east. The position angle of +y is measured from north toward east.
   compass() {
     const angle = this.data.position_angle;

@@ -18,6 +18,24 @@ class LongTable {
     makeSortable(this.table, (column, sign) => { this.sorting = [column, sign]; this.sort(); });
     region.replaceChildren(this.table);
     region.onscroll = () => this.draw();
+    region.onkeydown = (event) => this.key(event);
+  }
+
+  // Arrow keys select the next row; the buttons of rows are not in the order of the Tab key, so that Tab leaves the table.
+  key(event) {
+    const { order } = this, step = { ArrowDown: 1, ArrowUp: -1, PageDown: 10, PageUp: -10, Home: -Infinity, End: Infinity }[event.key];
+    if (event.key === "Escape") this.region.closest("details").querySelector("summary").focus();
+    if (!step || !order.length) return;
+    event.preventDefault();
+    const k = order[Math.max(0, Math.min(order.indexOf(this.marked) + step, order.length - 1))];
+    this.choose(k);
+    this.mark(k, true).querySelector("button").focus({ preventScroll: true });
+  }
+
+  csv() {
+    const lines = this.order.map((k) => this.columns.map(({ text, value }) => (value ? String(value(k)).replace("NaN", "") : text(k))));
+    lines.unshift(this.columns.map(({ name, unit }) => (unit ? `${name} [${unit}]` : name)));
+    return lines.map((line) => `${line.map((text) => (/[",\r\n]/.test(text) ? `"${text.replaceAll('"', '""')}"` : text)).join(",")}\n`).join("");
   }
 
   longest(column) {
@@ -54,7 +72,7 @@ class LongTable {
   cell(column, k) {
     const { text, value } = this.columns[column];
     const words = text(k);
-    if (column === 0) return make("th", { scope: "row" }, make("button", { type: "button", "aria-label": `${this.label} ${words}: select` }, words));
+    if (column === 0) return make("th", { scope: "row" }, make("button", { type: "button", tabindex: -1, "aria-label": `${this.label} ${words}: select` }, words));
     const missing = words === "" || words === "\u2013";
     return make("td", { class: [value && "number", missing && "missing"].filter(Boolean).join(" ") || null }, missing ? "\u2013" : words);
   }
@@ -103,4 +121,12 @@ class LongTable {
     }
     return this.drawn.get(at);
   }
+}
+
+// Open the table of a view, and move the focus to the row of the selected item.
+function openRow(view) {
+  if (view.selected < 0) return;
+  view.details.open = true;
+  if (!view.table) view.fillTable();
+  view.table.mark(view.selected, true)?.querySelector("button").focus();
 }

@@ -229,15 +229,15 @@ class MovingFocalPlane extends FocalPlaneView {
     const step = 10 ** Math.floor(Math.log10(duration / 100));
     this.slider = make("input", { type: "range", min: 0, max: Math.ceil(duration / step) * step, step, "aria-label": "Time",
       oninput: () => { this.pause(); this.show(+this.slider.value); } });
-    this.distances = make("p", { class: "count" });
-    [this.button.style.minWidth, this.clock.style.fontVariantNumeric, this.distances.style.minHeight] = ["5rem", "tabular-nums", "3em"];
+    this.distances = make("span");
+    [this.button.style.minWidth, this.clock.style.fontVariantNumeric] = ["5rem", "tabular-nums"];
     const about = "The arms move from the folded poses to the plan. At constant rates, each joint rotates during the whole time, without planned paths. " +
       `Distances are those of ${motion.segment ? "the axes of two arms (lines in the centers of the bands)" : "the outlines of two arms"}; ` +
       `obstacles are not considered. Angles are rounded to ${1 / data.motion.per_deg}\u00b0, and times to ${1 / per_second} s, which changes distances by at most ` +
       `${motion.error.toFixed(3)} mm. The paths are proven without rounding.`;
     this.motionBox = make("div", { role: "group", "aria-label": "Motion of the arms" },
-      make("div", { class: "tools" }, kind, this.button, make("label", { class: "field" }, this.clock, this.slider), speed),
-      this.distances, make("p", { class: "keys" }, about));
+      make("div", { class: "tools" }, kind, this.button, make("label", { class: "field" }, this.clock, this.slider), speed));
+    this.stage.help.append(" ", this.distances, ` ${about}`);
     this.motionBox.style.marginBottom = "0.75rem";
     return make("div", {}, super.tools(), this.motionBox);
   }

@@ -40,6 +40,30 @@ function list(entries) {
     .map(([name, value]) => make("div", {}, make("dt", {}, name), make("dd", {}, value))));
 }
 
+// Right ascension and declination (degrees) in a text such as "95.1 +23.2", "06:20:24 +23:12:00" or "6h20m24s +23d12m", or null.
+function coordinates(text) {
+  const values = text.split(/[\s,]+/).map((part, k) => {
+    const [degrees, minutes = 0, seconds = 0, ...more] = part.replace(/^[+\-\u2212]/, "").split(/[:hdms\u00b0'"]+/).filter(Boolean).map(Number);
+    const size = (degrees + minutes / 60 + seconds / 3600) * (k === 0 && /[:h]/.test(part) ? 15 : 1);
+    return more.length ? NaN : /^[\-\u2212]/.test(part) ? -size : size;
+  });
+  return values.length === 2 && values.every(Number.isFinite) && Math.abs(values[1]) <= 90 ? values : null;
+}
+
+function extent(values) {
+  return values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+}
+
+// The index of the point that is closest to (x, y), and closer than a limit, or -1.
+function nearest(xs, ys, x, y, least = Infinity, allowed = () => true) {
+  let best = -1;
+  for (let k = 0; k < xs.length; k += 1) {
+    const distance = Math.hypot(xs[k] - x, ys[k] - y);
+    if (distance < least && allowed(k)) [best, least] = [k, distance];
+  }
+  return best;
+}
+
 // Entries of a legend: text, color, and shape, which is a class of the style sheet.
 function fillLegend(box, entries) {
   box.replaceChildren(...entries.map(([text, color, shape]) => {
@@ -100,7 +124,8 @@ function paintScale(context, stage, unit) {
 // A canvas that can be zoomed and dragged with mouse, fingers, buttons and keys. The owner has these methods:
 // paint(context, stage); pick(x, y), which returns the item at a point in world coordinates, or -1; card(item), which
 // returns the HTML elements that describe an item, or null; choose(item), which selects an item, or none for -1; where(x, y),
-// which returns the coordinates of a point as text; and step(dx, dy), which selects the next item in a direction.
+// which returns the coordinates of a point as text; and step(dx, dy), which selects the next item in a direction. If the owner has
+// the method filter(), an area can be selected, to which filter() restricts the items.
 class Stage {
   constructor(owner, box, { flip = false, label, keys, equal = true }) {
     Object.assign(this, { owner, box, flip: flip ? -1 : 1, equal, x: 0, y: 0, scale: 1, width: 1, height: 1 });
@@ -112,8 +137,11 @@ class Stage {
       button("+", "Zoom in", () => this.zoom(1.6)),
       button("\u2212", "Zoom out", () => this.zoom(1 / 1.6)),
       button("\u2922", "Show everything", () => this.fit()));
+    this.outline = make("div", { class: "area", hidden: true });
+    this.areaButton = button("\u2b1a", "Select an area: drag a rectangle", () => this.selectArea(!this.selecting));
+    if (owner.filter) this.buttons.append(this.areaButton);
     this.place = make("div", { class: "place", "aria-hidden": "true" });
-    this.frame = make("div", { class: "stage" }, this.canvas, this.buttons, this.place, this.tip);
+    this.frame = make("div", { class: "stage" }, this.canvas, this.outline, this.buttons, this.place, this.tip);
     this.pointers = new Map();
     this.listen();
     new ResizeObserver(() => this.resize()).observe(this.frame);
@@ -176,6 +204,33 @@ class Stage {
     this.changed();
   }
 
+  // While an area is selected, the pointer draws its outline instead of moving the plot.
+  selectArea(on) {
+    this.selecting = on;
+    this.areaButton.setAttribute("aria-pressed", on);
+    this.canvas.style.touchAction = this.whole && !on ? "pan-y" : "none";
+  }
+
+  // Restrict the items to those between two corners x0, y0, x1, y1, or to no area.
+  setArea(area) {
+    this.area = area;
+    this.showArea();
+    this.owner.filter();
+  }
+
+  showArea() {
+    this.outline.hidden = !this.area;
+    if (!this.area) return;
+    const [[ax, ay], [bx, by]] = [this.toScreen(...this.area.slice(0, 2)), this.toScreen(...this.area.slice(2))];
+    const sides = [Math.min(ay, by), this.width - Math.max(ax, bx), this.height - Math.max(ay, by), Math.min(ax, bx)];
+    this.outline.style.inset = sides.map((v) => `${v}px`).join(" ");
+  }
+
+  inArea(x, y) {
+    const [x0, y0, x1, y1] = this.area ?? [];
+    return !this.area || ((x - x0) * (x - x1) <= 0 && (y - y0) * (y - y1) <= 0);
+  }
+
   draw() {
     this.pending ??= requestAnimationFrame(() => this.paint());
   }
@@ -191,6 +246,7 @@ class Stage {
     this.owner.paint(context, this);
     this.base = null;
     this.paintHovered();
+    this.showArea();
     this.canvas.dataset.milliseconds = performance.now() - begin;
   }
 
@@ -244,6 +300,11 @@ class Stage {
       this.place.textContent = this.owner.where(...this.toWorld(px, py));
       const before = pointers.get(event.pointerId);
       if (!before) return this.hover(px, py);
+      if (this.selecting) {
+        this.area = [...(this.moved ? this.area.slice(0, 2) : this.toWorld(...before)), ...this.toWorld(px, py)];
+        this.moved = Infinity;
+        return this.showArea();
+      }
       const other = [...pointers].find(([id]) => id !== event.pointerId)?.[1];
       pointers.set(event.pointerId, [px, py]);
       this.moved += Math.hypot(px - before[0], py - before[1]);
@@ -252,9 +313,13 @@ class Stage {
         this.zoom(ratio || 1, (px + other[0]) / 2, (py + other[1]) / 2);
       } else if (this.moved > 4) this.pan(px - before[0], py - before[1]);
     });
-    const end = (event) => {
+    const end = (event) => { // of a click, or of an area
       const last = pointers.size === 1 && pointers.has(event.pointerId);
       pointers.delete(event.pointerId);
+      if (last && this.selecting && this.moved) {
+        this.selectArea(false);
+        return this.setArea(this.area);
+      }
       if (last && this.moved <= 4 && event.type === "pointerup") {
         const item = this.owner.pick(...this.toWorld(event.offsetX, event.offsetY));
         this.owner.choose(item);
@@ -272,13 +337,23 @@ class Stage {
   key(event) {
     const arrows = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, 1], ArrowDown: [0, -1] };
     const actions = { "+": () => this.zoom(1.6), "=": () => this.zoom(1.6), "-": () => this.zoom(1 / 1.6), 0: () => this.fit(),
-      Escape: () => this.owner.choose(-1), Enter: () => this.owner.enter?.() };
+      Escape: () => { if (this.area) this.setArea(null); this.owner.choose(-1); },
+      a: () => this.owner.filter && this.setArea([...this.toWorld(0, 0), ...this.toWorld(this.width, this.height)]), Enter: () => this.owner.enter?.() };
     const arrow = arrows[event.key];
     if (event.ctrlKey || event.metaKey || event.altKey || !(arrow || actions[event.key])) return;
     event.preventDefault();
     if (!arrow) actions[event.key]();
     else if (event.shiftKey) this.pan(-60 * arrow[0], 60 * arrow[1]);
     else this.owner.step(this.flip * arrow[0], arrow[1]);
+  }
+
+  // The next item in a direction or, if none is selected, the item closest to the center of the plot; -1 if there is none.
+  step(xs, ys, from, dx, dy, allowed = () => true) {
+    const k = from < 0 ? nearest(xs, ys, this.x, this.y, Infinity, allowed) : this.next(xs, ys, from, dx, dy, allowed);
+    if (k < 0) return;
+    this.owner.choose(k);
+    const [px, py] = this.toScreen(xs[k], ys[k]);
+    if (px < 20 || py < 20 || px > this.width - 20 || py > this.height - 20) this.show(xs[k], ys[k], 0);
   }
 
   // The next item in a direction, for which the distance along the direction is small, and the distance across is small compared
@@ -299,6 +374,62 @@ class Stage {
   }
 }
 
+// Buttons that save the shown rows and the plot, and that write the selection into the address of the page, which restores it.
+function addExports(view, live) {
+  const names = view.id ?? view.name;
+  const controls = [...live.querySelectorAll(".tools :is(select, input:not([type=search]))")].map((control) => control.getAttribute("aria-label"));
+  const find = (label) => live.querySelector(`.tools [aria-label="${label}"]`);
+  const button = (text, title, onclick) => make("button", { type: "button", title, "aria-label": title, onclick }, text);
+  const link = () => {
+    const entries = controls.map((label) => [label, find(label).type === "checkbox" ? find(label).checked : find(label).value]);
+    if (view.selected >= 0) entries.push(["selected", names?.[view.selected] ?? view.selected]);
+    if (view.stage?.area) entries.push(["area", view.stage.area.map((v) => +v.toPrecision(6)).join(" ")]);
+    location.hash = new URLSearchParams(entries);
+  };
+  live.querySelector(".panes > div").append(make("div", { class: "export", role: "group", "aria-label": "Export" },
+    view.fillTable ? button("CSV", "Save the shown rows as a CSV file", () => { if (!view.table) view.fillTable(); save(new Blob([view.table.csv()], { type: "text/csv" }), "csv"); }) : null,
+    view.stage ? button("PNG", "Save the plot as a PNG file", () => picture(view)) : null,
+    button("Link", "Write the selection into the address of the page", link)));
+  const given = new URLSearchParams(location.hash.slice(1));
+  const selected = names ? names.indexOf(given.get("selected")) : view.rows.indexOf(+(given.get("selected") ?? NaN));
+  if (selected >= 0) view.choose(selected);
+  for (const label of controls.filter((name) => given.has(name))) {
+    const control = find(label), value = given.get(label);
+    if (control.type === "checkbox") control.checked = value === "true";
+    else if (!control.options || [...control.options].some((option) => option.value === value)) control.value = value;
+    for (const name of ["input", "change"]) control.dispatchEvent(new Event(name));
+  }
+  const area = (given.get("area") ?? "").split(" ").map(Number);
+  if (area.length === 4 && area.every(Number.isFinite) && view.stage) view.stage.setArea(area);
+}
+
+function save(blob, ending) {
+  const address = URL.createObjectURL(blob);
+  make("a", { href: address, download: `${document.title.replace(/[^\w.+-]+/g, "_")}.${ending}` }).click();
+  setTimeout(() => URL.revokeObjectURL(address), 60000);
+}
+
+// Save the plot with its background, and its legend below.
+function picture({ stage, legend }) {
+  const ratio = stage.canvas.width / stage.width, lines = [...legend.children];
+  const copy = make("canvas", { width: stage.canvas.width, height: stage.canvas.height + Math.ceil((20 * lines.length + 12) * ratio) });
+  const context = copy.getContext("2d");
+  context.fillStyle = stage.color("c-field");
+  context.fillRect(0, 0, copy.width, copy.height);
+  context.drawImage(stage.canvas, 0, 0);
+  context.scale(ratio, ratio);
+  context.font = "12px system-ui, sans-serif";
+  lines.forEach((line, k) => {
+    const mark = line.querySelector(".mark"), y = stage.height + 20 * k + 18;
+    context.fillStyle = context.strokeStyle = getComputedStyle(mark).getPropertyValue("--color").trim() || "transparent";
+    const symbol = mark.matches(".diamond") ? "\u25c6" : mark.matches(".ring, .open") ? "\u25cb" : mark.matches(".dashed") ? "\u254c" : mark.matches(".line") ? "\u2500" : "\u25cf";
+    context.fillText(symbol, 9, y);
+    context.fillStyle = stage.color("ink");
+    context.fillText(line.textContent, mark.matches(".none") ? 8 : 30, y);
+  });
+  copy.toBlob((blob) => save(blob, "png"));
+}
+
 const VIEWS = {};
 
 // All views of the page are started after the scripts of all kinds have been read; compressed data are expanded first.
@@ -309,6 +440,7 @@ function startViews() {
       section.prepend(live);
       section.classList.add("started");
       section.view = new VIEWS[section.dataset.view](live, data);
+      if (section.view.choose && !document.body.classList.contains("framed")) addExports(section.view, live);
     };
     const data = JSON.parse(section.querySelector("script").textContent);
     if (data.deflated) expand(data.deflated).then(start);

@@ -17,18 +17,17 @@ class SkyMapView extends SkyMapDrawing {
     this.x = places.map(([x]) => x);
     this.y = places.map(([, y]) => y);
     this.passes = [...new Set(this.columns.pass)].sort((a, b) => a - b);
-    const range = (values) => values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
-    const [[x0, x1], [y0, y1]] = [range(this.x), range(this.y)];
+    const [[x0, x1], [y0, y1]] = [extent(this.x), extent(this.y)];
     const r = data.radius;
     const box = data.whole ? [-163, -82, 163, 82] : [x0 - r, y0 - r, x1 + r, y1 + r];
     this.stage = new Stage(this, box, { flip: true, label: `Map of ${plural(n, "tile")}, east to the left. Arrow keys select tiles.`,
       keys: "Ctrl with the wheel, two fingers, + and \u2212: zoom. Drag, or Shift with arrow keys: move. 0: show everything. Arrow keys: select a tile. " +
-        "Escape: end the selection." });
+        "A: restrict the table to the visible part. Enter: show the row in the table. Escape: end the selection." });
     if (data.whole) this.stage.frame.classList.add("low");
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.count = make("p", { class: "count", role: "status" });
     this.legend = make("ul", { class: "legend" });
-    live.append(this.tools(), make("div", { class: "panes" }, make("div", {}, this.stage.frame, this.legend, this.count, this.stage.help), this.panel));
+    live.append(this.tools(), make("div", { class: "panes" }, make("div", {}, this.stage.frame, this.legend, this.count, this.stage.help), this.panel), this.tableBox());
     this.colorBy(this.column);
     this.choose(-1);
     matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.update());
@@ -55,7 +54,7 @@ class SkyMapView extends SkyMapDrawing {
   }
 
   searchField() {
-    const search = make("input", { type: "search", placeholder: "tile", autocomplete: "off", "aria-label": "Search for a tile" });
+    const search = make("input", { type: "search", placeholder: "tile, or ra dec", autocomplete: "off", "aria-label": "Search for a tile" });
     return make("form", { class: "field", role: "search", onsubmit: (event) => { event.preventDefault(); this.find(search.value.trim()); } },
       make("label", {}, make("span", {}, "Tile "), search));
   }
@@ -63,13 +62,13 @@ class SkyMapView extends SkyMapDrawing {
   setPass(pass, only) {
     [this.from, this.upTo] = [only ? pass : -Infinity, pass];
     this.slider.setAttribute("aria-valuetext", `pass ${pass}`);
-    this.update();
+    this.filter();
   }
 
   colorBy(column) {
     this.column = column;
     const values = this.columns[column].filter(Number.isFinite);
-    const [low, high] = values.reduce(([a, b], v) => [Math.min(a, v), Math.max(b, v)], [Infinity, -Infinity]);
+    const [low, high] = extent(values);
     const one = low === high;
     const whole = values.every(Number.isInteger);
     const n = one ? 1 : whole ? Math.min(BINS, high - low + 1) : BINS;
@@ -84,7 +83,12 @@ class SkyMapView extends SkyMapDrawing {
   }
 
   shown(k) {
-    return this.columns.pass[k] <= this.upTo && this.columns.pass[k] >= this.from;
+    return this.stage.inArea(this.x[k], this.y[k]) && this.columns.pass[k] <= this.upTo && this.columns.pass[k] >= this.from;
+  }
+
+  filter() {
+    this.update();
+    this.table?.show(this.name.map((_, k) => k).filter((k) => this.shown(k)));
   }
 
   update() {
@@ -105,12 +109,7 @@ class SkyMapView extends SkyMapDrawing {
   // ---- selection
 
   pick(x, y) {
-    let best = -1, least = Math.max(this.data.radius * 1.2, 8 / this.stage.scale);
-    for (let k = 0; k < this.n; k += 1) {
-      const distance = Math.hypot(this.x[k] - x, this.y[k] - y);
-      if (distance < least && this.shown(k)) [best, least] = [k, distance];
-    }
-    return best;
+    return nearest(this.x, this.y, x, y, Math.max(this.data.radius * 1.2, 8 / this.stage.scale), (k) => this.shown(k));
   }
 
   where(x, y) {
@@ -123,29 +122,58 @@ class SkyMapView extends SkyMapDrawing {
     const columns = Object.entries(this.columns).filter(([name]) => name !== "tile");
     return [make(long ? "h3" : "p", {}, make("strong", {}, `Tile ${this.name[k]}`)),
       list([["ra", fixed(this.ra[k], 4, "\u00b0")], ["dec", fixed(this.dec[k], 4, "\u00b0")],
-        ...columns.map(([name, values]) => [name.replaceAll("_", " "), show(values[k])])])];
+        ...columns.map(([name, values]) => [name.replaceAll("_", " "), show(values[k])])]),
+      ...(long ? [make("p", {}, make("a", { href: this.aladin(k), target: "_blank", rel: "noreferrer" }, "Open this field in Aladin Lite"),
+        ". The link requires a network; the page itself loads nothing.")] : [])];
   }
 
-  choose(k) {
+  aladin(k) {
+    const target = encodeURIComponent(`${this.ra[k].toFixed(5)} ${this.dec[k].toFixed(5)}`);
+    return `https://aladin.cds.unistra.fr/AladinLite/?target=${target}&fov=${(3 * this.data.radius).toPrecision(3)}`;
+  }
+
+  choose(k, show = true) {
     this.selected = k;
     this.panel.replaceChildren(...(k < 0 ? [make("p", {}, "Click a tile, or search for its number, to see its values.")] : this.card(k, true)));
+    if (this.details.open) this.table?.mark(k, show);
     this.stage.draw();
   }
 
   find(text) {
-    const k = this.name.indexOf(text);
+    const place = this.name.includes(text) ? null : coordinates(text);
+    const [sin, cos] = [Math.sin, Math.cos].map((f) => f((place?.[1] ?? 0) * RAD));
+    const near = this.ra.map((ra, k) => place && sin * Math.sin(this.dec[k] * RAD) + cos * Math.cos(this.dec[k] * RAD) * Math.cos((ra - place[0]) * RAD));
+    const k = place ? near.indexOf(extent(near)[1]) : this.name.indexOf(text);
     if (k < 0) return this.panel.replaceChildren(make("p", {}, `No tile has the number ${text}.`));
     this.choose(k);
+    if (place) this.panel.prepend(make("p", { class: "why" }, `The center of this tile is closest to the position, at a distance of ${fixed(Math.acos(Math.min(near[k], 1)) / RAD, 3)}\u00b0.`));
     return this.stage.show(this.x[k], this.y[k], 60 / this.data.radius);
   }
 
-  step(dx, dy) {
-    if (this.selected < 0) {
-      const distances = this.x.map((x, k) => (this.shown(k) ? Math.hypot(x - this.stage.x, this.y[k] - this.stage.y) : Infinity));
-      return this.choose(distances.indexOf(Math.min(...distances)));
-    }
-    const next = this.stage.next(this.x, this.y, this.selected, dx, dy, (k) => this.shown(k));
-    return next < 0 ? undefined : this.choose(next);
+  step(dx, dy) { this.stage.step(this.x, this.y, this.selected, dx, dy, (k) => this.shown(k)); }
+
+  // ---- table
+
+  tableBox() {
+    const { tile, ...others } = this.columns;
+    const columns = Object.entries({ tile, ra: this.ra, dec: this.dec, ...others }).map(([name, values]) => {
+      const number = values.every((value) => typeof value === "number");
+      const text = (k) => (Number.isNaN(values[k]) ? "" : String(values[k]));
+      return { name: name.replaceAll("_", " "), unit: this.data.units[name] ?? { ra: "deg", dec: "deg" }[name] ?? "", text, ...(number && { value: (k) => values[k] }) };
+    });
+    this.scroll = make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "All tiles" });
+    this.fillTable = () => {
+      this.table = new LongTable(this.scroll, columns, { n: this.n, label: "Tile", choose: (k) => this.choose(k, false) });
+      this.filter();
+      this.table.mark(this.selected, true);
+      this.scroll.dispatchEvent(new Event("scroll"));
+    };
+    this.details = make("details", { ontoggle: () => this.details.open && !this.table && this.fillTable() }, make("summary", {}, "All tiles"),
+      this.nights ? make("p", { class: "count" }, "The states are those after the last night.") : "", this.scroll);
+    noteHiddenColumns(this.scroll);
+    return this.details;
   }
+
+  enter() { openRow(this); }
 }
 VIEWS.sky_map = SkyMapView;

@@ -35,7 +35,7 @@ class StatusView extends SkyMapView {
     const { live, data } = this;
     this.fibers = new FiberMap(this, data);
     this.curves = make("div", { class: "curves" });
-    live.append(make("h3", {}, "Focal plane"), this.fibers.box, make("h3", {}, "Completeness"), this.curves, this.tableBox());
+    live.append(make("h3", {}, "Focal plane"), this.fibers.box, make("h3", {}, "Completeness"), this.curves);
     this.plotCurves();
     this.setNight(this.night);
   }
@@ -51,7 +51,7 @@ class StatusView extends SkyMapView {
 
   update() {
     this.bin = this.codes.map((own) => own.reduce((last, [night, code]) => (night <= this.night ? code : last), 0));
-    const counts = this.words.map((_, code) => this.bin.filter((bin) => bin === code).length);
+    const counts = this.words.map((_, code) => this.bin.filter((bin, k) => bin === code && this.shown(k)).length);
     const date = this.nights[this.night - 1];
     this.nightText.textContent = date ? `Night ${this.night} of ${this.nights.length}: ${date}` : this.nights.length ? "Before the first night" : "No night has a date";
     this.slider.setAttribute("aria-valuetext", this.nightText.textContent);
@@ -85,15 +85,14 @@ class StatusView extends SkyMapView {
   }
 
   card(k, long = false) {
-    const [head, values] = super.card(k, long);
+    const [head, ...values] = super.card(k, long);
     const when = this.night ? `after ${this.nights[this.night - 1]}` : "before the first night";
-    return [head, make("p", { class: "why" }, `State ${when}: ${this.words[this.bin[k]]}`), values];
+    return [head, make("p", { class: "why" }, `State ${when}: ${this.words[this.bin[k]]}`), ...values];
   }
 
   choose(k, show = true) {
-    super.choose(k);
+    super.choose(k, show);
     this.fibers.setTile(k);
-    if (this.details.open) this.table?.mark(k, show);
   }
 
   // ---- calendar: a line for each month, and a cell for each day
@@ -191,32 +190,6 @@ class StatusView extends SkyMapView {
       make("table", { class: "facts" }, make("caption", {}, "Observed of the requested visits, up to the selected night"), make("tbody", {}, ...rows))));
   }
 
-  // ---- table
-
-  tableBox() {
-    const columns = Object.entries(this.columns).map(([name, values]) => {
-      const number = values.every((value) => typeof value === "number");
-      const text = (k) => (Number.isNaN(values[k]) ? "" : String(values[k]));
-      return { name: name.replaceAll("_", " "), unit: this.data.units[name] ?? "", text, ...(number && { value: (k) => values[k] }) };
-    });
-    const scroll = make("div", { class: "scroll", tabindex: 0, role: "region", "aria-label": "All tiles" });
-    this.details = make("details", { ontoggle: () => {
-      if (!this.details.open || this.table) return;
-      this.table = new LongTable(scroll, columns, { n: this.n, label: "Tile", choose: (k) => this.choose(k, false) });
-      this.table.show(this.name.map((_, k) => k));
-      this.table.mark(this.selected, true);
-      scroll.dispatchEvent(new Event("scroll"));
-    } }, make("summary", {}, "All tiles"), make("p", { class: "count" }, "The states are those after the last night."), scroll);
-    noteHiddenColumns(scroll);
-    return this.details;
-  }
-
-  enter() {
-    if (this.selected < 0) return;
-    this.details.open = true;
-    this.details.dispatchEvent(new Event("toggle"));
-    this.table.mark(this.selected, true)?.querySelector("button").focus();
-  }
 }
 VIEWS.status = StatusView;
 
@@ -231,9 +204,8 @@ class FiberMap extends FocalPlaneDrawing {
     this.data = { obstacles: [], polygons: [], position_angle: null };
     this.angle = owner.columns.position_angle;
     const placed = this.id.map((_, k) => k).filter((k) => Number.isFinite(this.x[k]));
-    const around = (values) => placed.reduce(([a, b], k) => [Math.min(a, values[k] - outer), Math.max(b, values[k] + outer)], [Infinity, -Infinity]);
-    const [[x0, x1], [y0, y1]] = placed.length ? [around(this.x), around(this.y)] : [[-1, 1], [-1, 1]];
-    this.stage = new Stage(this, [x0, y0, x1, y1], { flip: true, label: `Focal plane with ${plural(this.n, "positioner")}. Arrow keys select positioners.`,
+    const [[x0, x1], [y0, y1]] = placed.length ? [this.x, this.y].map((values) => extent(placed.map((k) => values[k]))) : [[-1, 1], [-1, 1]];
+    this.stage = new Stage(this, [x0 - outer, y0 - outer, x1 + outer, y1 + outer], { flip: true, label: `Focal plane with ${plural(this.n, "positioner")}. Arrow keys select positioners.`,
       keys: placed.length ? "Arrow keys: select a positioner. Escape: end the selection." : "The folder of the survey does not describe the instrument, so that positions of positioners are not known." });
     this.panel = make("div", { class: "panel", "aria-live": "polite" });
     this.legend = make("ul", { class: "legend" });
@@ -342,9 +314,7 @@ class FiberMap extends FocalPlaneDrawing {
   // ---- selection
 
   pick(x, y) {
-    const distances = this.x.map((own, i) => Math.hypot(own - x, this.y[i] - y));
-    const best = distances.reduce((one, d, i) => (d < (distances[one] ?? Infinity) ? i : one), -1);
-    return distances[best] < Math.max(this.outer[0], 10 / this.stage.scale) ? best : -1;
+    return nearest(this.x, this.y, x, y, Math.max(this.outer[0], 10 / this.stage.scale));
   }
 
   where(x, y) { return `x ${fixed(x, 2)}, y ${fixed(y, 2)} mm`; }
@@ -365,9 +335,5 @@ class FiberMap extends FocalPlaneDrawing {
     this.stage.draw();
   }
 
-  step(dx, dy) {
-    const start = this.id.findIndex((_, i) => Number.isFinite(this.x[i]));
-    const next = this.selected < 0 ? start : this.stage.next(this.x, this.y, this.selected, dx, dy, (i) => Number.isFinite(this.x[i]));
-    if (next >= 0) this.choose(next);
-  }
+  step(dx, dy) { this.stage.step(this.x, this.y, this.selected, dx, dy); }
 }
