@@ -68,7 +68,7 @@ def test_commands_print_what_the_page_shows(page, block, run, tmp_path, monkeypa
     same = doctest.OutputChecker().check_output
     block = re.sub(r" \\\n +", " ", block)
     for command, shown in re.findall(r"    \$ rfpsurvey (.*)\n((?:    (?!\$).*\n)*)", block):
-        code, out, err = run(*shlex.split(command))
+        code, out, err = run(*shlex.split(command), brief=True)
         assert code == 0, err
         shown = re.sub("^    ", "", shown, flags=re.MULTILINE)
         assert same(shown, out, doctest.ELLIPSIS | doctest.NORMALIZE_WHITESPACE), out
@@ -81,7 +81,7 @@ def test_commands_of_the_cheat_sheet_run(run, tmp_path, monkeypatch):
     assert len(commands) == 11
     assert 30 <= len(commands) + text.count("\n>>> ") <= 42  # more columns would not fit on a page
     for command in commands:
-        code, out, err = run(*shlex.split(command, comments=True))
+        code, out, err = run(*shlex.split(command, comments=True), brief=True)
         assert code == 0, (command, err)
         assert out
     for name in re.findall(r"--(?:output|plot|report|folder) (\S+)", text):

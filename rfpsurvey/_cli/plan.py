@@ -254,7 +254,7 @@ def instruments(keys: InstrumentsKeys) -> None:
     Examples
     --------
     rfpsurvey instruments
-    rfpsurvey instruments lamost
+    rfpsurvey instruments lamost --verbose
     rfpsurvey instruments lamost sdss_apo mine.toml
     """
     names = keys.instruments or []

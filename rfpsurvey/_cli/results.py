@@ -32,7 +32,7 @@ PICTURES = (".png", ".pdf", ".svg")
 MOST_OBJECTIVES = 12
 MIN_WIDTH, MOST_ROWS = 60, 8
 """Smallest width of text, and largest number of rows or files that are printed without --verbose."""
-DETAILS = ("method", "instrument", "arm model", "definition of the completeness")
+DETAILS = ("method", "instrument", "arm model", "definition of the completeness", "epoch", "fibers per tile")
 LONG = 44  # number of characters of the labels of a tiling
 MAP = (
     "The color gives the collision probability of each positioner. The probabilities of single positioners "
@@ -224,7 +224,7 @@ def print_summary(tile: "rs.Tile") -> None:
 def _print_objectives(tile: "rs.Tile") -> None:
     """Print the value of each objective, the gap to the best possible plan, and the requirements that are not met."""
     summary = tile.summary
-    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES if is_verbose() else 2):
+    for name, value, proof in tile_objectives(tile, MOST_OBJECTIVES) if is_verbose() else ():
         print(f"{'  ' + name:<34}{value:>10}  {proof}".rstrip())
     if summary.get("gap") is not None:
         model = summary["search"].get("model", "")

@@ -121,7 +121,7 @@ The functions `plan_tile` and `score_tile` add the numbers without such a functi
 """
 
 
-TILE_RESULT = ("n_assigned", "n_lost_to_rules", "n_out_of_reach", "n_wrong_fiber", LOST, "n_positioners", RATE)
+TILE_RESULT = ("n_assigned", "kinds", "n_lost_to_rules", "n_out_of_reach", "n_wrong_fiber", LOST, "n_positioners")
 TILE_RESULT += ("n_required_observed", "n_unmet", "n_reachable", "n_targets", "n_dropped", "n_skipped", "n_unusable")
 """The numbers of the shortest summary of a tile."""
 

@@ -6,8 +6,9 @@ from rfpsurvey._common.lazy import importer
 from rfpsurvey.report._blocks import estimate_facts, model_facts, tiling_facts
 
 if TYPE_CHECKING:
+    from rfpsurvey.report._aladin import write_aladin
     from rfpsurvey.report._views import NotebookView, notebook_view
-    from rfpsurvey.report._write import check_report, write_aladin, write_report
+    from rfpsurvey.report._write import check_report, write_report
 
 __all__ = [
     "NotebookView",
@@ -20,6 +21,9 @@ __all__ = [
     "write_report",
 ]
 
-_WRITE = ("check_report", "write_aladin", "write_report")
-_IMPORTED_ON_USE = {"_views": ("NotebookView", "notebook_view"), "_write": _WRITE}
+_IMPORTED_ON_USE = {
+    "_aladin": ("write_aladin",),
+    "_views": ("NotebookView", "notebook_view"),
+    "_write": ("check_report", "write_report"),
+}
 __getattr__ = importer(__name__, _IMPORTED_ON_USE)

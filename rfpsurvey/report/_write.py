@@ -7,8 +7,6 @@ from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-from astropy.coordinates import SkyCoord
 from astropy.table import Table
 
 from rfpsurvey._common.files import check_output, to_path
@@ -17,7 +15,6 @@ from rfpsurvey._field.tile import Tile
 from rfpsurvey._studies.compare_instruments import PARTS
 from rfpsurvey._studies.question import Estimate
 from rfpsurvey._survey.columns import survey_facts
-from rfpsurvey._survey.footprints import COLORS, fields_of
 from rfpsurvey._survey.history.state import SurveyState
 from rfpsurvey._survey.night.plan import Night
 from rfpsurvey._survey.selection.probabilities import SelectionProbabilities, part_of, selection_facts
@@ -36,8 +33,8 @@ from rfpsurvey.errors import (
 )
 from rfpsurvey.plot import draw_tiling, plot_completeness, plot_selection, plot_tiling
 from rfpsurvey.report import _tables
-from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, json_of, tiling_facts
-from rfpsurvey.report._html import asset, html_of
+from rfpsurvey.report._blocks import TILING, Facts, Page, Picture, Rows, Section, Text, tiling_facts
+from rfpsurvey.report._html import html_of
 from rfpsurvey.report._status import page_of_state, page_of_status
 from rfpsurvey.report._tile import check_paths, page_of_tile
 from rfpsurvey.report._views import check_plans, sky_view
@@ -303,52 +300,6 @@ def write_report(
     content = html_of(page, max_rows).encode()
     with writing_to(path, ENDINGS, overwrite=overwrite) as temporary:
         temporary.write_bytes(content)
-
-
-def write_aladin(survey: "Survey | SurveyState", path: str | os.PathLike, *, overwrite: bool = False) -> None:
-    """Write an HTML page that shows the fields of tiles on images of the sky, with Aladin Lite.
-
-    Unlike reports, the page requires a network: it loads Aladin Lite and images from the servers of CDS.
-
-    Parameters
-    ----------
-    survey : Survey or SurveyState
-        The survey, as for `rfpsurvey.survey.to_regions`.
-    path : str or path-like
-        Path that ends in ``.html`` or ``.htm``.
-    overwrite : bool, optional
-        Whether to replace an existing file.
-
-    Raises
-    ------
-    InputError
-        If the path does not end in ``.html`` or ``.htm``, if the file exists and ``overwrite`` is False, or if
-        ``survey`` is another object.
-
-    Examples
-    --------
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> from astropy.coordinates import SkyCoord
-    >>> import astropy.units as u
-    >>> import rfpsurvey as rs
-    >>> sky = rs.synthetic_catalog("uniform", SkyCoord("6h20m +23d"), 0.3 * u.deg, n_targets=200, rng=1)
-    >>> survey = rs.plan_survey(sky, "moons", SkyCoord(["6h20m"], ["+23d"]))
-    >>> with TemporaryDirectory() as folder:
-    ...     rs.report.write_aladin(survey, Path(folder) / "sky.html")
-    ...     "requires a network" in (Path(folder) / "sky.html").read_text()
-    True
-    """
-    path = check_report(path, overwrite=overwrite)
-    centers, radius, _, words = fields_of(survey)
-    middle = SkyCoord(*centers.cartesian.xyz.value.mean(axis=1), representation_type="cartesian").spherical
-    size = min(2 * (centers.separation(SkyCoord(middle.lon, middle.lat)).deg.max() + radius), 180)
-    places = np.round(np.transpose([centers.ra.deg, centers.dec.deg]), 6)
-    own = [[word, COLORS.get(word, "gray"), places[words == word].tolist()] for word in np.unique(words).tolist()]
-    target = f"{middle.lon.deg:.6f} {middle.lat.deg:+.6f}"
-    text = json_of({"radius": radius, "target": target, "fov": size, "groups": own})
-    with writing_to(path, ENDINGS, overwrite=overwrite) as temporary:
-        temporary.write_text(asset("page.aladin.html").replace(">{}<", f">{text}<", 1), encoding="utf-8")
 
 
 def _page_of(result, where: str, plans: Mapping[str, Tile] | None, max_rows: int | None, options: dict) -> Page:
