@@ -18,6 +18,7 @@ from rfpsurvey._assignment.problem import AllocationProblem
 
 if TYPE_CHECKING:  # it imports scipy.sparse
     from rfpsurvey._assignment.milp import Program
+    from rfpsurvey._assignment.relaxed import Relaxed
 
 # Decimal digits of costs, which are differences of subpriorities in units of the range of all subpriorities.
 DIGITS = 6
@@ -197,6 +198,7 @@ class _Pursuit:
     def __init__(self, program: "Program", first, limit, *, integral, upper=None):
         self.program, self.limit, self.known = program, limit, upper
         self.integral, self.n_programs = integral, 0
+        self.keeps = False  # whether the stored plan remains if another plan is equally good in all proven objectives
         self.classes = np.zeros(len(program.high), dtype=bool)
         if not program.problem.any_required:
             self.classes[offset_of(program.problem) :][: len(program.problem.classes)] = True
@@ -279,7 +281,8 @@ class _Pursuit:
                 self.solved += values[k : k + n].tolist()
                 if tuple(values) < tuple(self.values):
                     self.spare = self.x
-                self.x, self.values = x, values
+                if not (self.keeps and self.is_kept(self.values)):
+                    self.x, self.values = x, values
                 return n, values[k]
             if not done:
                 return 0, np.floor((bound - worth - lowest) / weights[0] + 1e-6)
@@ -298,20 +301,38 @@ class _Pursuit:
 
 
 def pursue(
-    program: "Program", first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None, upper=None
+    program: "Program",
+    first,
+    deadline: float,
+    limit,
+    *,
+    integral: bool,
+    squared_cost: bool,
+    tell=None,
+    upper=None,
+    relaxed: "Relaxed | None" = None,
 ) -> Solution:
     """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
 
     If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions.
     ``upper`` is a function that returns other upper bounds for the values of all earlier objectives. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
-    called with the number of proven objectives and the total number of objectives.
+    called with the number of proven objectives and the total number of objectives. ``relaxed`` contains bounds and a
+    plan that are already known.
     """
-    now = _Pursuit(program, first, limit, integral=integral, upper=upper)
-    n_objectives, k = len(program.high), 0
+    now = _Pursuit(program, first, limit, integral=integral, upper=upper if relaxed is None else relaxed.upper)
+    if relaxed is not None:
+        now.n_programs, now.integral, now.keeps = relaxed.n_programs, relaxed.integral, True
+        if relaxed.x is not None and program.holds(relaxed.x):
+            values = program.reaches(relaxed.x)
+            if now.x is None or tuple(values) >= tuple(now.values):
+                now.x, now.values = relaxed.x, values
+            now.solved = values.tolist() if relaxed.is_best else []
+    n_objectives, k = len(program.high), len(now.solved)
     time_left = left(deadline)
     halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
     bounds, least = program.high.copy(), 0.0
+    bounds[:k] = now.solved
     while k < n_objectives:
         if tell is not None:
             tell(k, n_objectives)
@@ -326,9 +347,11 @@ def pursue(
             break
         bounds[k : k + n] = now.solved[k:]
         k += n
-    if squared_cost and k == n_objectives:
+    if relaxed is not None and k == n_objectives:
+        least = max(relaxed.least(program.reaches(now.x)), 0.0)
+    if squared_cost and k == n_objectives and not (relaxed is not None and now.x is relaxed.x):
         x, bound = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
-        least = max(-bound, 0.0)
+        least = max(-bound, least)
         # the best plan that was found before the deadline can be worse than the plan from which the search started
         if x is not None and (now.x is None or program.costs @ x <= program.costs @ now.x):
             now.x = x
