@@ -4,6 +4,7 @@ Each optimum is proven before the next objective is optimized. Upper limits foll
 collisions.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -195,7 +196,7 @@ class Solution(NamedTuple):
 class _Pursuit:
     """The state of the search: the best plan found so far, and the proven values of the first objectives."""
 
-    def __init__(self, program: "Program", first, limit, *, integral, upper=None):
+    def __init__(self, program: "Program", first, limit, *, integral, upper=None, linear=None):
         self.program, self.limit, self.known = program, limit, upper
         self.integral, self.n_programs = integral, 0
         self.keeps = False  # whether the stored plan remains if another plan is equally good in all proven objectives
@@ -207,6 +208,8 @@ class _Pursuit:
         self.values = program.reaches(x)
         self.spare = None  # a plan that was better than the stored plan in objectives that were not proven
         self.solved: list[float] = []  # proven values, beginning with the first objective
+        self.linear = linear  # function that returns the values of the first objectives that linear programs prove
+        self.proven: list[float] = []  # these values
 
     def upper(self, values):
         """Return the upper bound of each objective, given the values of all earlier objectives."""
@@ -264,6 +267,12 @@ class _Pursuit:
         # the last few proven objectives are therefore terms of the goal instead.
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
+        if self.linear is not None:
+            self.proven, self.linear = self.linear(deadline), None
+        if n == 1 and k + 1 < len(self.proven) and self.proven[k + 1] < program.high[k + 1]:
+            # the program of the next objective finds the same plan if this objective has no program
+            self.solved.append(self.proven[k])
+            return 1, self.proven[k]
         goal = program.goal(k, weights)
         lowest = weights[1:] @ program.low[k + 1 : k + n]
         for n_soft in dict.fromkeys([min(in_goal, n_solved), 0]):
@@ -311,6 +320,7 @@ def pursue(
     tell=None,
     upper=None,
     relaxed: "Relaxed | None" = None,
+    linear: Callable | None = None,
 ) -> Solution:
     """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
 
@@ -318,9 +328,11 @@ def pursue(
     ``upper`` is a function that returns other upper bounds for the values of all earlier objectives. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
     called with the number of proven objectives and the total number of objectives. ``relaxed`` contains bounds and a
-    plan that are already known.
+    plan that are already known; ``linear`` is a function of the deadline that returns values of the first objectives
+    that are proven to be the largest ones, in strict order.
     """
-    now = _Pursuit(program, first, limit, integral=integral, upper=upper if relaxed is None else relaxed.upper)
+    upper = upper if relaxed is None else relaxed.upper
+    now = _Pursuit(program, first, limit, integral=integral, upper=upper, linear=linear)
     if relaxed is not None:
         now.n_programs, now.integral, now.keeps = relaxed.n_programs, relaxed.integral, True
         if relaxed.x is not None and program.holds(relaxed.x):

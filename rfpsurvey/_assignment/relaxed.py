@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 # Rounding error of variables, smallest violation of an added constraint, and rounding error of bounds.
 WHOLE, VIOLATED, ROUNDING = 1e-6, 1e-3, 1e-4
 # Largest number of linear programs for one goal, and number of fractions from which the bounds are not close.
-MOST_ROUNDS, MANY = 20, 32
+MOST_ROUNDS, MANY = 20, 30
 # Largest weight of an objective for which the rounding errors of the solver have no effect.
 STEEPEST = 8.0**6
 # Allowed difference between the sum of the subpriorities and its upper bound, as a fraction of this sum.
@@ -53,11 +53,15 @@ class Relaxed(NamedTuple):
         return float(self.ratio * self.weights(len(values) - 1) @ values - self.last)
 
 
+def ratio_of(n: int) -> float:
+    """Return the ratio of the weights of successive objectives in sums of n objectives, a whole number."""
+    return float(np.floor(min(STEEP, STEEPEST ** (1.0 / n) + WHOLE)))
+
+
 def relax(program: "Program", deadline: float) -> Relaxed | None:
     """Return bounds of all objectives and of the cost, and a plan; None if there are too many objectives."""
     n = len(program.high)
-    ratio = np.floor(min(STEEP, STEEPEST ** (1.0 / n) + WHOLE))
-    if ratio < 2.0:
+    if (ratio := ratio_of(n)) < 2.0:
         return None
     count_program()
     found = Relaxed(ratio, np.full(n, np.inf), np.inf, None, False, 0, False)
@@ -72,6 +76,25 @@ def relax(program: "Program", deadline: float) -> Relaxed | None:
         found = found._replace(last=last)
     found = found._replace(x=x if is_whole else None, n_programs=relaxation.linear.n_programs)
     return found if x is None or is_whole else _with_whole(program, found, relaxation, x, deadline)
+
+
+def proven_values(program: "Program", deadline: float) -> list[float]:
+    """Return the largest values of the first objectives, in strict order, as far as linear programs prove them."""
+    values: list[float] = []
+    n = len(program.high)
+    if (ratio := ratio_of(n)) < 2.0:
+        return values
+    relaxation = Relaxation(program)
+    for k in range(n):
+        weights = ratio ** np.arange(k, -1, -1)
+        x, bound, is_whole = relaxation.maximize(program.goal(0, weights), deadline, whole=True)
+        if not is_whole:
+            break
+        reached = program.reaches(x)[: k + 1]
+        if weights @ reached < bound or reached[:k].tolist() != values:
+            break
+        values = reached.tolist()
+    return values
 
 
 def _with_whole(program, found, relaxation, x, deadline):
@@ -135,6 +158,8 @@ class Relaxation:
             fractions = np.flatnonzero(np.abs(x - np.round(x)) > WHOLE)
             if len(fractions) == 0:
                 return np.round(x), best, True
+            if len(fractions) > MANY:
+                break
             cuts = self.cliques(x, fractions[fractions < len(self.program.candidate)])
             for members in cuts:
                 self.linear.add(members, np.ones(len(members)), 1.0)

@@ -39,7 +39,7 @@ from rfpsurvey._assignment.objectives import (
     with_used_classes,
 )
 from rfpsurvey._assignment.problem import AllocationProblem
-from rfpsurvey._assignment.relaxed import relax
+from rfpsurvey._assignment.relaxed import proven_values, relax
 from rfpsurvey._assignment.rules import TIE_SEED, plan_lamost_rule
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
@@ -298,6 +298,8 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
                 settings = {"integral": integral, "squared_cost": squared_cost, "tell": tell}
                 if relaxes and program.n > LARGE:
                     settings["relaxed"] = relax(program, share(deadline, FOR_LINEAR))
+                elif collide and problem.groups and program.n > LARGE:
+                    settings["linear"] = partial(proven_values, program)
                 part = pursue(program, start[mine], deadline, limit, **settings)
             except OutOfTimeError:
                 part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))

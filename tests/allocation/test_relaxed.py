@@ -7,7 +7,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp
 
 import rfpsurvey as rs
 from integer_program import LexicographicProgram
-from rfpsurvey._assignment import relaxed, search
+from rfpsurvey._assignment import objectives, relaxed, search
 from rfpsurvey._assignment.relaxed import GAP
 
 MM = u.mm
@@ -74,3 +74,26 @@ def test_bounds_are_valid_and_plans_are_as_good_as_their_gap_states(seeds, monke
         assert level.value == pytest.approx(values[-1], abs=1e-9), seed
         assert level.bound >= best[-1] - 4 * error, seed
     assert n_found["whole"] > 0
+
+
+@pytest.mark.parametrize("seeds", [range(12), pytest.param(range(12, 100), marks=pytest.mark.exhaustive)])
+def test_objectives_that_linear_programs_prove_do_not_change_plans(seeds, monkeypatch):
+    """Without subpriorities, plans are those of the integer programs of all objectives."""
+    n_proven = n_fewer = 0
+    monkeypatch.setattr(search, "LARGE", 0)
+    monkeypatch.setattr(objectives, "LARGE", 0)
+    monkeypatch.setattr(objectives, "LARGEST", 1.0)  # each objective has its own program
+    for seed in seeds:
+        plane, xy, options, requirements, _ = crowded_scene(seed)
+        plans = []
+        for function in (relaxed.proven_values, lambda *_: []):
+            monkeypatch.setattr(search, "proven_values", function)
+            allocator = rs.AllocationOptions("optimal", requirements=requirements)
+            plans.append(rs.allocate(plane, xy * MM, allocator=allocator, **options))
+        assert plans[0].target_of_positioner.tolist() == plans[1].target_of_positioner.tolist(), seed
+        assert plans[0].handedness.tolist() == plans[1].handedness.tolist(), seed
+        assert plans[0].levels == plans[1].levels, seed
+        n_fewer += plans[1].meta["n_programs"] - plans[0].meta["n_programs"]
+        n_proven += all(level.bound == level.value for level in plans[0].levels)
+    assert n_proven == len(seeds)
+    assert n_fewer > 0
