@@ -174,10 +174,10 @@ class Program:
         if len(keep):
             matrix = vstack([matrix, self.matrix[: len(keep)]], format="csr")
             low, high = np.append(low, keep), np.append(high, np.full(len(keep), np.inf))
-        presolve = self._may_presolve(matrix)
+        presolve = self.may_presolve(matrix)
         return maximize((matrix, low, high), goal, self.most, deadline, integral=integral, gap=gap, presolve=presolve)
 
-    def _may_presolve(self, matrix) -> bool:
+    def may_presolve(self, matrix) -> bool:
         """Return whether the presolve of the solver is fast enough; the estimated time is the same on all computers."""
         seconds = PRESOLVE_SECONDS * matrix.nnz**2 / self.n
         return seconds <= PRESOLVE_PART * self.problem.time_limit

@@ -4,6 +4,7 @@ Each optimum is proven before the next objective is optimized. Upper limits foll
 collisions.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -18,6 +19,7 @@ from rfpsurvey._assignment.problem import AllocationProblem
 
 if TYPE_CHECKING:  # it imports scipy.sparse
     from rfpsurvey._assignment.milp import Program
+    from rfpsurvey._assignment.relaxed import Relaxed
 
 # Decimal digits of costs, which are differences of subpriorities in units of the range of all subpriorities.
 DIGITS = 6
@@ -194,9 +196,10 @@ class Solution(NamedTuple):
 class _Pursuit:
     """The state of the search: the best plan found so far, and the proven values of the first objectives."""
 
-    def __init__(self, program: "Program", first, limit, *, integral, upper=None):
+    def __init__(self, program: "Program", first, limit, *, integral, upper=None, linear=None):
         self.program, self.limit, self.known = program, limit, upper
         self.integral, self.n_programs = integral, 0
+        self.keeps = False  # whether the stored plan remains if another plan is equally good in all proven objectives
         self.classes = np.zeros(len(program.high), dtype=bool)
         if not program.problem.any_required:
             self.classes[offset_of(program.problem) :][: len(program.problem.classes)] = True
@@ -205,6 +208,8 @@ class _Pursuit:
         self.values = program.reaches(x)
         self.spare = None  # a plan that was better than the stored plan in objectives that were not proven
         self.solved: list[float] = []  # proven values, beginning with the first objective
+        self.linear = linear  # function that returns the values of the first objectives that linear programs prove
+        self.proven: list[float] = []  # these values
 
     def upper(self, values):
         """Return the upper bound of each objective, given the values of all earlier objectives."""
@@ -262,6 +267,12 @@ class _Pursuit:
         # the last few proven objectives are therefore terms of the goal instead.
         in_goal = N_STEEP if n_solved and program.n > LARGE else 0
         n, weights = self.next_pack(k, LARGEST / STEEP**in_goal)
+        if self.linear is not None:
+            self.proven, self.linear = self.linear(deadline), None
+        if n == 1 and k + 1 < len(self.proven) and self.proven[k + 1] < program.high[k + 1]:
+            # the program of the next objective finds the same plan if this objective has no program
+            self.solved.append(self.proven[k])
+            return 1, self.proven[k]
         goal = program.goal(k, weights)
         lowest = weights[1:] @ program.low[k + 1 : k + n]
         for n_soft in dict.fromkeys([min(in_goal, n_solved), 0]):
@@ -279,7 +290,8 @@ class _Pursuit:
                 self.solved += values[k : k + n].tolist()
                 if tuple(values) < tuple(self.values):
                     self.spare = self.x
-                self.x, self.values = x, values
+                if not (self.keeps and self.is_kept(self.values)):
+                    self.x, self.values = x, values
                 return n, values[k]
             if not done:
                 return 0, np.floor((bound - worth - lowest) / weights[0] + 1e-6)
@@ -298,20 +310,41 @@ class _Pursuit:
 
 
 def pursue(
-    program: "Program", first, deadline: float, limit, *, integral: bool, squared_cost: bool, tell=None, upper=None
+    program: "Program",
+    first,
+    deadline: float,
+    limit,
+    *,
+    integral: bool,
+    squared_cost: bool,
+    tell=None,
+    upper=None,
+    relaxed: "Relaxed | None" = None,
+    linear: Callable | None = None,
 ) -> Solution:
     """Return the best plan found before the deadline; the search starts from the plan ``first`` if that plan is valid.
 
     If ``limit`` is not None, it contains the values of the objectives for the best plan that ignores collisions.
     ``upper`` is a function that returns other upper bounds for the values of all earlier objectives. With
     ``squared_cost``, the plan with the lowest cost among all best plans is returned. If ``tell`` is not None, it is
-    called with the number of proven objectives and the total number of objectives.
+    called with the number of proven objectives and the total number of objectives. ``relaxed`` contains bounds and a
+    plan that are already known; ``linear`` is a function of the deadline that returns values of the first objectives
+    that are proven to be the largest ones, in strict order.
     """
-    now = _Pursuit(program, first, limit, integral=integral, upper=upper)
-    n_objectives, k = len(program.high), 0
+    upper = upper if relaxed is None else relaxed.upper
+    now = _Pursuit(program, first, limit, integral=integral, upper=upper, linear=linear)
+    if relaxed is not None:
+        now.n_programs, now.integral, now.keeps = relaxed.n_programs, relaxed.integral, True
+        if relaxed.x is not None and program.holds(relaxed.x):
+            values = program.reaches(relaxed.x)
+            if now.x is None or tuple(values) >= tuple(now.values):
+                now.x, now.values = relaxed.x, values
+            now.solved = values.tolist() if relaxed.is_best else []
+    n_objectives, k = len(program.high), len(now.solved)
     time_left = left(deadline)
     halt = deadline - FOR_FILLING * time_left if np.isfinite(time_left) and n_objectives > 1 else deadline
     bounds, least = program.high.copy(), 0.0
+    bounds[:k] = now.solved
     while k < n_objectives:
         if tell is not None:
             tell(k, n_objectives)
@@ -326,9 +359,11 @@ def pursue(
             break
         bounds[k : k + n] = now.solved[k:]
         k += n
-    if squared_cost and k == n_objectives:
+    if relaxed is not None and k == n_objectives:
+        least = max(relaxed.least(program.reaches(now.x)), 0.0)
+    if squared_cost and k == n_objectives and not (relaxed is not None and now.x is relaxed.x):
         x, bound = now.maximize(-program.costs, now.solved, deadline, gap=1e-9)
-        least = max(-bound, 0.0)
+        least = max(-bound, least)
         # the best plan that was found before the deadline can be worse than the plan from which the search started
         if x is not None and (now.x is None or program.costs @ x <= program.costs @ now.x):
             now.x = x

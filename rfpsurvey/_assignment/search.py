@@ -28,8 +28,10 @@ from rfpsurvey._assignment.local_plans import (
 from rfpsurvey._assignment.local_search import improve, match, pick, repair_collisions, trim
 from rfpsurvey._assignment.milp import Program
 from rfpsurvey._assignment.objectives import (
+    LARGE,
     Solution,
     conditional_bounds,
+    is_sum_maximized,
     matching_limits,
     offset_of,
     pursue,
@@ -37,6 +39,7 @@ from rfpsurvey._assignment.objectives import (
     with_used_classes,
 )
 from rfpsurvey._assignment.problem import AllocationProblem
+from rfpsurvey._assignment.relaxed import proven_values, relax
 from rfpsurvey._assignment.rules import TIE_SEED, plan_lamost_rule
 
 # Small parts are combined up to about this number of positioners, because each call of the solver takes time.
@@ -59,6 +62,8 @@ FOR_FREE, NEARLY = 0.5, 0.1
 # Fractions of the remaining time in which unnecessary candidates are removed, in which collisions are repaired, and in
 # which the plan of ``repair`` is moved to the remaining candidates after the search.
 FOR_REDUCTION, FOR_REPAIR, FOR_BETTER = 0.25, 0.5, 0.25
+# Fraction of the remaining time in which bounds are found by linear programs.
+FOR_LINEAR = 0.5
 # Time in seconds after the deadline for local moves that give targets to idle positioners.
 FOR_LAST = 0.1
 # If it takes too long to find all collisions, only the best targets of each positioner are used. These numbers of best
@@ -91,6 +96,7 @@ def decide(
             problem, squared_cost = replace(problem, subpriority=order), True
     problem = with_cost(problem)
     options = {"integral": integral, "squared_cost": squared_cost}
+    options["relaxes"] = collide and bool(problem.groups) and is_sum_maximized(given)
     begin = now()
     candidates, whole = _candidates_in_time(problem, collide=collide, squared_cost=squared_cost)
     spent = now() - begin
@@ -265,7 +271,7 @@ def _plan(candidates, chosen, collide, deadline):
     return np.where(chosen < 0, candidates.options.start[1:] - 1, chosen)
 
 
-def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost) -> SearchResult:
+def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cost, relaxes) -> SearchResult:
     """Solve the independent parts of a problem one after the other.
 
     ``blind`` contains the candidate of each positioner in a matching in which arms may collide, or -1 for no target.
@@ -290,6 +296,10 @@ def _solve(candidates, blind, start, deadline, *, collide, integral, squared_cos
                 program = Program(candidates, rows, known, edges, deadline)
                 limit = None if problem.groups else program.reaches(program.variables(blind[mine][blind[mine] >= 0]))
                 settings = {"integral": integral, "squared_cost": squared_cost, "tell": tell}
+                if relaxes and program.n > LARGE:
+                    settings["relaxed"] = relax(program, share(deadline, FOR_LINEAR))
+                elif collide and problem.groups and program.n > LARGE:
+                    settings["linear"] = partial(proven_values, program)
                 part = pursue(program, start[mine], deadline, limit, **settings)
             except OutOfTimeError:
                 part = _start_of_part(candidates, start[mine], blind[mine], edges, len(adds))

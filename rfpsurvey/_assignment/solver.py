@@ -154,6 +154,50 @@ def _solver(rows, goal, most, *, integral):
     return solver
 
 
+class LinearProgram:
+    """A linear program with one goal after the other; each solution starts from the previous one.
+
+    ``rows``, ``most`` and ``presolve`` are the parameters of `maximize`; all upper bounds of variables are finite.
+    """
+
+    def __init__(self, rows: tuple, most: np.ndarray, *, presolve: bool):
+        self.rows, self.most, self.added, self.n_programs = rows, most, [], 0
+        self.solver = _solver(rows, np.zeros(len(most)), most, integral=False)
+        self.solver.setOptionValue("presolve", "on" if presolve else "off")
+
+    def add(self, column: np.ndarray, value: np.ndarray, high: float) -> None:
+        """Add the constraint that the sum of the values times the variables ``column`` is at most ``high``."""
+        self.added.append((column, value, high))
+        self.solver.addRow(-np.inf, high, len(column), column.astype(np.int32), value)
+
+    def maximize(self, goal: np.ndarray, deadline: float) -> tuple[np.ndarray | None, float]:
+        """Return the variables that maximize a goal (None if the solver does not end), and an upper bound of the goal.
+
+        The bound is computed from the prices of the constraints, so that it is valid despite errors of the solver.
+        """
+        n, (matrix, low, high) = len(goal), self.rows
+        if left(deadline) == 0:
+            return None, np.inf
+        from highspy import HighsModelStatus as Status
+
+        self.n_programs += 1
+        self.solver.changeColsCost(n, np.arange(n, dtype=np.int32), -goal)
+        self.solver.setOptionValue("time_limit", min(self.solver.getRunTime() + left(deadline), 1e9))
+        if not _run(self.solver, deadline) or self.solver.getModelStatus() != Status.kOptimal:
+            return None, np.inf
+        solution = self.solver.getSolution()
+        price, of_added = np.split(-np.array(solution.row_dual), [len(high)])
+        # a price of the wrong sign is a rounding error; the limits of a constraint without a price can be infinite
+        price = np.where(np.isfinite(np.where(price > 0.0, high, low)), price, 0.0)
+        of_added = np.maximum(of_added, 0.0)
+        limit = np.where(price > 0.0, high, np.where(price < 0.0, low, 0.0))
+        rest, bound = goal - matrix.T @ price, float(price @ limit)
+        for p, (column, value, most) in zip(of_added, self.added, strict=True):
+            rest[column] -= p * value
+            bound += p * most
+        return np.array(solution.col_value), bound + float(np.maximum(rest, 0.0) @ self.most)
+
+
 def _run(solver, deadline: float) -> bool:
     """Run the solver in a thread, and return whether it ended in time."""
     thread = threading.Thread(target=solver.run, daemon=True, name="HiGHS")

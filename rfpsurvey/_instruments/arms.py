@@ -290,7 +290,10 @@ def capsule_angles(columns, assigned):
 
     For positioners without a target, the fiber is the first fiber of the positioner.
     """
-    return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, columns.plane.arrays.angles, strict=True))
+    first = columns.plane.arrays
+    if columns is first:
+        return first.angles
+    return tuple(np.where(assigned, *pair) for pair in zip(columns.angles, first.angles, strict=True))
 
 
 def nearest_distance(plane: FocalPlane, posed: Arms) -> np.ndarray:

@@ -191,7 +191,9 @@ def exact(case: Configuration) -> Found:
     squared = np.empty(len(first))
     outlined = case.plane.positioner.outline is not None
     search = collisions.colliding_outlines if outlined else collisions.colliding_pairs
-    n, _ = search(case.segments, halves, columns.runs, columns.limits, first, second, squared)
+    n, n_edge = search(case.segments, halves, columns.runs, columns.limits, first, second, squared)
+    if n_edge == 0 and not outlined:
+        return Found(first[:n], second[:n], np.sqrt(squared[:n]), 0)
     return _settle(case, first[:n], second[:n], squared[:n])
 
 
