@@ -1,10 +1,13 @@
 """The commands ``rfpsurvey select`` and ``potential``."""
 
+import sys
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from time import perf_counter
 from typing import Annotated
 
+import astropy.units as u
 import numpy as np
 
 import rfpsurvey as rs
@@ -13,7 +16,8 @@ from rfpsurvey._cli import process as _process
 from rfpsurvey._cli import results as _results
 from rfpsurvey._cli.command import command
 from rfpsurvey._cli.survey import values_of
-from rfpsurvey._common.files import check_output, check_separate
+from rfpsurvey._common.files import WRITABLE, check_output, check_separate
+from rfpsurvey._common.io import write_table
 from rfpsurvey._common.settings import option
 from rfpsurvey._survey import key_groups, key_objects
 from rfpsurvey._survey.key_objects import Given, read_tiles
@@ -157,7 +161,8 @@ class PotentialOutputKeys:
     Parameters
     ----------
     path : Path, optional
-        Write all pairs of a positioner and a point in reach, with the tile of each pair (.fits).
+        Write all pairs of a positioner and a point in reach, with the tile of each pair (.fits), or the random catalog
+        (.fits, .ecsv or .parquet).
     overwrite : bool, optional
         Replace existing files.
     """
@@ -175,6 +180,11 @@ class PotentialKeys(key_groups.WorkerKeys):
     survey : Path, optional
         Folder of a survey that was planned with these tiles. In each tile, positioners whose target is lost to a
         collision reach no point. Without a table of tiles, the tiles of the survey are used.
+    density : float, optional
+        Instead of the points of a catalog, draw this number of random points per deg2. The catalog contains the targets
+        of the survey, and the output contains the points in reach, with the completeness of the survey.
+    veto : list[Region], optional
+        With density: regions without points, such as 'cap 95.1 23.2 0.05' (deg).
     """
 
     catalog: key_groups.CatalogKeys
@@ -182,13 +192,16 @@ class PotentialKeys(key_groups.WorkerKeys):
     tiles: key_groups.TilesKeys
     output: PotentialOutputKeys
     survey: Path | None = None
+    density: float | None = None
+    veto: list[rs.Region] | None = None
     epoch: key_groups.Epoch = None
     rng: key_groups.Seed = 0
 
 
 @command(
     PotentialKeys,
-    "tiles.path instrument.name survey tiles.passes epoch workers rng catalog.columns output.path output.overwrite",
+    "tiles.path instrument.name survey density veto tiles.passes epoch workers rng catalog.columns output.path "
+    "output.overwrite",
     argument="catalog.path",
 )
 def potential(keys: PotentialKeys, _: Given) -> None:
@@ -200,12 +213,16 @@ def potential(keys: PotentialKeys, _: Given) -> None:
         --output potential.fits
     rfpsurvey potential random.fits --instrument desi --survey plan \
         --workers 2 --output potential.fits
+    rfpsurvey potential targets.fits --instrument desi --survey plan \
+        --density 2500 --veto "cap 95.1 23.2 0.05" --output random.fits
     """
     output = keys.output.path
     if output is not None:
         paths = keys.catalog.path, keys.tiles.path, keys.instrument.name, keys.instrument.broken, keys.survey
         check_separate([output], paths)
-        check_output(output, (".fits",), overwrite=keys.output.overwrite)
+        check_output(output, (".fits",) if keys.density is None else WRITABLE, overwrite=keys.output.overwrite)
+    if keys.veto and keys.density is None:
+        raise rs.InputError("veto must be used with --density, which is the number of random points per deg2")
     survey, tiles = None, keys.tiles
     if keys.survey is not None:
         survey = rs.Survey.read(keys.survey)
@@ -214,6 +231,9 @@ def potential(keys: PotentialKeys, _: Given) -> None:
     model = _app.model_of(keys.instrument, lambda: key_objects.time_of_tiles(tiling, keys.epoch, {}))
     points = targets_of(keys, model, tell=_results.tell)
     tiling = tiles_of(tiling, points, model)
+    if keys.density is not None:
+        _draw(keys, points, model, tiling, survey)
+        return
     options = {"passes": tiles.passes, "epoch": keys.epoch, "survey": survey, "progress": True}
     begin = perf_counter()
     _process.tell_if_interrupted("no results were stored")
@@ -228,3 +248,20 @@ def potential(keys: PotentialKeys, _: Given) -> None:
     print(f"computing time {perf_counter() - begin:.1f} s")
     if written is not None:
         print(f"wrote {output}: {number_of(written, 'pair')} of a positioner and a point")
+
+
+def _draw(keys: PotentialKeys, targets, model: "rs.Instrument", tiling: "rs.Tiling", survey) -> None:
+    """Draw a random catalog, write it, and print its numbers."""
+    if keys.tiles.passes:
+        tiling = rs.Tiling(tiling.table[np.isin(tiling.table["pass"], keys.tiles.passes)])
+    options = {"density": keys.density / u.deg**2, "survey": survey, "veto": keys.veto or (), "rng": keys.rng}
+    with _results.workers(keys) as executor:
+        table = rs.selection.random_catalog(
+            targets, model, tiling, executor=executor, progress=sys.stderr.isatty(), **options
+        )
+    with _results.files(keys.output, write=partial(write_table, table)):
+        labels = {"n_drawn": "points drawn", "n_vetoed": "vetoed", "n_out_of_reach": "out of reach"}
+        facts = {label: table.meta[name] for name, label in labels.items()} | {"points": len(table)}
+        if survey is not None:
+            facts["mean completeness"] = float(table["completeness"].mean())
+        _results.print_facts(facts)
