@@ -15,6 +15,7 @@ from rfpsurvey._assignment.options import AllocationOptions
 from rfpsurvey._assignment.plugin import packages, warn_of_unused_options
 from rfpsurvey._common.units import to_scalar
 from rfpsurvey._field.facts import versions
+from rfpsurvey._instruments.facts import arm_classes
 from rfpsurvey._instruments.instrument import Instrument, as_instrument, every_instrument
 from rfpsurvey._sky.catalog import Catalog
 from rfpsurvey._sky.partitions import as_catalog
@@ -51,7 +52,7 @@ CAUTION = (
 REACH = tuple(f"reach_{k}" for k in range(4))
 """Columns with the fractions of the footprint within reach of 0, 1, 2, and at least 3 positioners."""
 PARTS = {
-    "instruments": ("positioners", "field", "footprint", "type", "multiplicity", *REACH),
+    "instruments": ("positioners", "arms", "field", "footprint", "type", "multiplicity", *REACH),
     "targets and fibers per field": (
         "allocator",
         "targets",
@@ -128,7 +129,8 @@ def compare_instruments(
     -------
     QTable
         Table with a row for each instrument and allocator. Columns that describe the instrument: ``instrument``;
-        ``positioners`` (number of positioners that can have a target); ``field`` (diameter of the field); ``footprint``
+        ``positioners`` (number of positioners that can have a target); ``arms`` (lengths of both arms, and number of
+        positioners of each class of arms); ``field`` (diameter of the field); ``footprint``
         (area of the convex hull of the positioner centers); ``type`` (1: no arms can collide, 2: only arms of first
         neighbors can collide, 3: more distant arms can also collide); ``multiplicity`` (mean number of positioners that
         reach a point of the footprint); ``reach_0``, ``reach_1``, ``reach_2``, ``reach_3`` (fraction of the footprint
@@ -270,6 +272,7 @@ def _describe(model: Instrument) -> dict:
     return {
         "instrument": model.name,
         "positioners": int(plane.arrays.usable.sum()),
+        "arms": arm_classes(model),
         "field": 2 * model.field_radius.to_value(u.deg),
         "footprint": plane.footprint.to_value(u.mm**2),
         "type": plane.collision_type,
