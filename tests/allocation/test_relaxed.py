@@ -37,7 +37,8 @@ def crowded_scene(seed):
 
 def optimum(program, goal):
     """Return the largest value of a goal over all plans of a program."""
-    limits = LinearConstraint(*program.rows)
+    matrix, low, high = program.rows
+    limits = LinearConstraint(matrix.toarray(), low, high)  # older versions of scipy refuse sparse 64-bit indices
     answer = milp(-goal, constraints=limits, integrality=np.ones(program.n), bounds=Bounds(0, program.most))
     assert answer.status == 0
     return -answer.fun

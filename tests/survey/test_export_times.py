@@ -72,7 +72,7 @@ def test_only_fibers_that_lose_their_targets_change(case, presets):
             key: value for key, value in planned.items() if key not in of_tile
         }
         points = points_at(survey, catalog, presets["moons"], row, TIMES[row])
-        can = plane.reachable(points)
+        can = plane.reachable(points).toarray()
         index = {i: k for k, i in enumerate(catalog.id.tolist())}
         tips = np.full((len(plane), 2), np.nan)
         for key, value in now.items():
@@ -94,7 +94,7 @@ def test_only_fibers_that_lose_their_targets_change(case, presets):
             assert key not in now
             assert not change["swaps"]
             assert int(change["target"]) == planned[key]
-            for other in np.flatnonzero(can[k].toarray().ravel()).tolist():
+            for other in np.flatnonzero(can[k]).tolist():
                 is_free = int(catalog.id[other]) not in {*planned.values(), *now.values()}
                 if is_free and catalog.kind[other] == catalog.kind[old]:
                     moved = tips.copy()
