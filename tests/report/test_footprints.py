@@ -125,7 +125,7 @@ def test_hostile_states_stay_text(survey, tmp_path, monkeypatch):
     hostile, path = "</script><img src=x onerror=alert(1)>", tmp_path / "sky.html"
     centers, radius, names, words = footprints.fields_of(survey)
     monkeypatch.setattr(
-        "rfpsurvey.report._write.fields_of", lambda _: (centers, radius, names, np.full(len(words), hostile))
+        "rfpsurvey.report._aladin.fields_of", lambda _: (centers, radius, names, np.full(len(words), hostile))
     )
     rs.report.write_aladin(survey, path)
     page = Reader(path.read_text())
