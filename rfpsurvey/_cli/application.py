@@ -96,14 +96,14 @@ class Command(TyperCommand):
 def with_level(function: Callable) -> Callable:
     """Return the function of a command with the options --verbose and --quiet."""
 
-    def call(*, verbose: bool, quiet: bool, **options) -> object:
+    def call(*arguments, verbose: bool = False, quiet: bool = False, **options) -> object:
         if verbose and quiet:
             raise rs.InputError("either --verbose or --quiet must be given, got both")
         VERBOSE.set(verbose)
         if not quiet:
-            return function(**options)
+            return function(*arguments, **options)
         with open(os.devnull, "w") as sink, redirect_stdout(sink):
-            return function(**options)
+            return function(*arguments, **options)
 
     more = [
         Parameter(

@@ -9,7 +9,6 @@ import pytest
 from astropy.coordinates import SkyCoord
 
 import rfpsurvey as rs
-from browser import open_browser
 from pages import Reader
 from rfpsurvey._survey import footprints
 
@@ -92,18 +91,17 @@ def test_other_objects_are_refused(function):
         function(3)
 
 
-def test_the_page_for_aladin_lite_draws_all_fields(survey, tmp_path):
+def test_the_page_for_aladin_lite_draws_all_fields(survey, tmp_path, visit):
     rs.report.write_aladin(survey.state(), tmp_path / "sky.html")
     text = (tmp_path / "sky.html").read_text()
     assert "This page requires a network" in " ".join(Reader(text).text("p"))
     (tmp_path / "stub.html").write_text(
         text.replace(' src="https://aladin.cds.unistra.fr/', f'>{STUB}</script><script data-src="')
     )
-    with open_browser() as visit:
-        page = visit(tmp_path / "stub.html")
-        page.wait_for_timeout(200)
-        (_, options), *circles = page.evaluate("calls")
-        words = page.locator("#legend").inner_text()
+    page = visit(tmp_path / "stub.html")
+    page.wait_for_timeout(200)
+    (_, options), *circles = page.evaluate("calls")
+    words = page.locator("#legend").inner_text()
     radius = survey.provenance["parameters"]["radius_deg"]
     states = [STATES.get(name, "planned") for name in survey.tiles["tile"]]
     assert sorted(state for state, *_ in circles) == sorted(states)
